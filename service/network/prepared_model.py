@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import platform
 import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,8 @@ from ..process.file_lock import exclusive
 MODEL, WEIGHTS, DIGEST = "model.onnx", "model.weights", "sha256"
 INCOMING = ".incoming-"
 LEAST_BYTES = "1024"  # smaller tensors stay in the graph
+KEPT_S = 30 * 86_400.0  # an entry that nobody has used for so long goes when another one is made
+_KEY_LENGTH = 32  # hexadecimal digits
 
 _log = logging.getLogger("gapmes")
 
@@ -42,11 +46,20 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
             if target.is_dir() and not _whole(target):
                 forget(target / MODEL)
             if not (target / MODEL).is_file():
+                _remove_unused(folder)
                 _make(path, target, options())
+            os.utime(target)
     except Exception as error:  # a full or read-only disk, or a graph that cannot be written: it is only a shortcut
         _log.warning("the model is loaded as it is: %s", error)
         return None
     return target / MODEL
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove the entries of older files, versions and processors; a process that still maps one keeps it."""
+    for entry in folder.glob("?" * _KEY_LENGTH):
+        if time.time() - entry.stat().st_mtime > KEPT_S:
+            shutil.rmtree(entry, ignore_errors=True)
 
 
 def forget(optimised: Path) -> None:
@@ -101,4 +114,4 @@ def _key(file_sha256: str, runtime: str) -> str:
         lines = info.read_text(encoding="ascii", errors="replace").splitlines()
         flags = next((line for line in lines if line.startswith(("flags", "Features"))), "")
     text = "\n".join((file_sha256, runtime, platform.machine(), flags))
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+    return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +53,23 @@ def test_it_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     Engine(prepare=tmp_path)
     monkeypatch.setattr(prepared_model, "_make", None)
     Engine(prepare=tmp_path)
+
+
+def test_entries_that_nobody_uses_go_when_another_is_made(tmp_path: Path) -> None:
+    Engine(prepare=tmp_path)
+    (used,) = (path for path in tmp_path.iterdir() if path.is_dir())
+    old, recent = tmp_path / ("0" * 32), tmp_path / ("1" * 32)
+    for path, days in ((used, 31), (old, 31), (recent, 29)):
+        path.mkdir(exist_ok=True)
+        (path / "file").write_bytes(b"of another release")
+        os.utime(path, (time.time() - 86_400 * days,) * 2)
+    Engine(prepare=tmp_path)
+    assert old.exists()
+    write_standin(tmp_path / "other.onnx")
+    Engine(tmp_path / "other.onnx", prepare=tmp_path)
+    assert not old.exists()
+    assert recent.exists()
+    assert used.exists()
 
 
 def test_another_version_or_file_has_one_of_its_own() -> None:
