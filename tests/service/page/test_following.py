@@ -130,10 +130,11 @@ def test_a_job_is_followed_for_as_long_as_the_service_is_away(
     page.evaluate(
         """() => {
           const ask = window.fetch;
-          window.asked = 0;
+          [window.asked, window.open] = [0, 0];
           window.fetch = (url, ...more) => {
             window.asked += String(url).includes("/jobs/");
-            return ask(url, ...more);
+            window.open += 1;
+            return ask(url, ...more).finally(() => { window.open -= 1; });
           };
         }"""
     )
@@ -143,15 +144,17 @@ def test_a_job_is_followed_for_as_long_as_the_service_is_away(
     def asked_by() -> tuple[int, float]:
         return tuple(page.evaluate("[window.asked, Date.now()]"))
 
-    def long_away() -> bool:
-        page.clock.run_for(12_100)  # eight pauses
-        return asked_by()[0] >= 30
+    def wait(milliseconds: int, times: int) -> None:
+        for _ in range(times):
+            page.clock.run_for(milliseconds)
+            until(page, lambda: page.evaluate("window.open") == 0)
 
-    until(page, long_away)
+    page.wait_for_selector("#stage-name:has-text('the service does not answer; retrying')")
+    wait(12_100, times=9)  # as long as eight pauses: a try each
     asked, start = asked_by()
-    page.clock.run_for(11_000)
+    wait(1_500, times=8)
     now_asked, end = asked_by()
-    assert end - start >= 11_000
+    assert end - start >= 12_000
     # a try every 12 s, and every 3 s a question for the place in the queue
     assert 3 <= now_asked - asked <= (end - start) * (1 / 12_000 + 1 / 3_000) + 2
     assert "the service does not answer; retrying" in page.inner_text("#stage-name")
