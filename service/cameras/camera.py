@@ -104,7 +104,7 @@ class Camera:
 
     def resized(self, width: float, height: float) -> Camera:
         """The same view sampled on a grid of another size: intrinsics scale with it, rays do not move. Raises
-        `CameraError` unless both sides are whole numbers of at least 1."""
+        `CameraError` for other sides than `make` takes."""
         width, height = _checked_sides(width, height)
         sx, sy = width / self.width, height / self.height
         return replace(
@@ -118,8 +118,8 @@ class Camera:
         )
 
     def cropped(self, left: float, top: float, width: float, height: float) -> Camera:
-        """The window of `width` x `height` px whose upper left corner lies at (left, top). Raises `CameraError` unless
-        both sides are whole numbers of at least 1."""
+        """The window of `width` x `height` px whose upper left corner lies at (left, top). Raises `CameraError` for
+        other sides than `make` takes."""
         width, height = _checked_sides(width, height)
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 

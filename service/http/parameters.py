@@ -1,5 +1,5 @@
-"""Strict query parameters: too many and repeated ones are refused by every route, unknown ones and numbers with
-underscores by those that declare theirs as a model, and so is any word for a flag but true and false."""
+"""Strict query parameters: too many and repeated ones are refused by every route; by those that declare theirs as a
+model unknown ones, numbers in other forms than the fields of a form have, and words for a flag but true and false."""
 
 from __future__ import annotations
 

@@ -58,7 +58,8 @@ def prepared(path: Path, file_sha256: str, folder: Path, options: Callable[[], A
 def _remove_unused(folder: Path) -> None:
     """Remove the entries of older files, versions and processors; a process that still maps one keeps it."""
     for entry in folder.glob("?" * _KEY_LENGTH):
-        if time.time() - entry.stat().st_mtime > KEPT_S:
+        ours = all((entry / name).is_file() for name in (MODEL, DIGEST))  # the folder may hold other things
+        if ours and time.time() - entry.stat().st_mtime > KEPT_S:
             shutil.rmtree(entry, ignore_errors=True)
 
 

@@ -27,7 +27,7 @@ def checked_pixels(array: object, index: int | None) -> NDArray[np.uint8]:
             cure = "give what its read() returns, from the beginning of a file opened for bytes, or the file's path"
     elif pixels.dtype.kind == "f":
         cure += "; np.rint(255 * array).astype(np.uint8) where it is 0 to 1"
-    elif pixels.dtype == np.uint16:
+    elif pixels.dtype.kind == "u" and pixels.dtype.itemsize == 2:
         cure += "; np.rint(array / 257).astype(np.uint8) where it is of 16 bits"
     elif pixels.dtype == np.uint8 and pixels.ndim == 1:
         cure = "are these the bytes of a file? give them as bytes, such as by tobytes()"

@@ -66,11 +66,17 @@ def test_those_who_wait_for_their_turn_keep_no_upload_out(client: TestClient, mo
     monkeypatch.setattr(check, "_understood", lambda *given: going.wait(120) and understood(*given))
     monkeypatch.setattr(runtime.uploads, "most", 1)
     with ThreadPoolExecutor(2) as pool:
-        waiting = [pool.submit(checked, client, [photograph(5), photograph(6)], camera_object(2)) for _ in range(2)]
-        while runtime.looks.limit.taken < 2 or runtime.uploads.taken:
-            time.sleep(0.01)
-        assert post(client).status_code in (200, 201)
-        going.set()
+        waiting = []
+        try:
+            for count in (1, 2):
+                waiting.append(pool.submit(checked, client, [photograph(5), photograph(6)], camera_object(2)))
+                deadline = time.monotonic() + 60
+                while runtime.looks.limit.taken < count or runtime.uploads.taken:
+                    assert time.monotonic() < deadline, "it keeps its place among the uploads"
+                    time.sleep(0.01)
+            assert post(client).status_code in (200, 201)
+        finally:
+            going.set()
         assert [answer.result().status_code for answer in waiting] == [200, 200]
 
 

@@ -58,10 +58,12 @@ def test_it_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 def test_entries_that_nobody_uses_go_when_another_is_made(tmp_path: Path) -> None:
     Engine(prepare=tmp_path)
     (used,) = (path for path in tmp_path.iterdir() if path.is_dir())
-    old, recent = tmp_path / ("0" * 32), tmp_path / ("1" * 32)
-    for path, days in ((used, 31), (old, 31), (recent, 29)):
-        path.mkdir(exist_ok=True)
-        (path / "file").write_bytes(b"of another release")
+    old, recent, scene = (tmp_path / (digit * 32) for digit in "01a")
+    for path, days in ((old, 31), (recent, 29), (scene, 31), (used, 31)):
+        if path != used:
+            path.mkdir()
+            for name in ("scene.ply",) if path == scene else (prepared_model.MODEL, prepared_model.DIGEST):
+                (path / name).write_bytes(b"of another release")
         os.utime(path, (time.time() - 86_400 * days,) * 2)
     Engine(prepare=tmp_path)
     assert old.exists()
@@ -69,6 +71,7 @@ def test_entries_that_nobody_uses_go_when_another_is_made(tmp_path: Path) -> Non
     Engine(tmp_path / "other.onnx", prepare=tmp_path)
     assert not old.exists()
     assert recent.exists()
+    assert scene.exists()
     assert used.exists()
 
 
