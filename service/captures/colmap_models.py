@@ -17,17 +17,18 @@ from .table import MAX_LISTED
 _PLACES = ("sparse", "colmap/sparse")  # the mapper writes models into their folders 0, 1, ...
 _LISTED = 5  # models that the notice names
 _HEAD = 4096  # bytes of images.txt that hold its comments with the number of images
+MAX_COUNTED = 16  # models whose lines are counted, which takes up to 0.3 s each; a mapper's texts say their number
 Counts = Mapping[str, int | None]  # of images, by the folder of the model; None where it is not known
 
 
 def image_counts(files: Files, models: Sequence[str], first: str) -> Counts:
     """The number of images of each of `models` by the start of its file; of texts that do not say it, among the
-    numbered siblings of `first`, by their lines, each read once."""
+    numbered siblings of `first`, by their lines, each read once, at most MAX_COUNTED of them."""
     counts = {folder: _announced(files, folder) for folder in models}
     numbered = _numbered_beside(models, first)
-    for folder in numbered if len(numbered) > 1 else ():
-        if counts[folder] is None and has_colmap(files, folder) == "txt":
-            counts[folder] = _counted(files, folder)
+    silent = [folder for folder in numbered if counts[folder] is None and has_colmap(files, folder) == "txt"]
+    for folder in silent[:MAX_COUNTED] if len(numbered) > 1 else ():
+        counts[folder] = _counted(files, folder)
     return counts
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import islice
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,9 @@ TYPES = {
 TYPE_NAMES = {kind: name for name, kind in reversed(TYPES.items())}  # those of most writers
 LENGTH_TYPES = frozenset(name for name, kind in TYPES.items() if kind[0] != "f")
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": None}
-MAX_LISTS = 200_000  # before the vertices, where they are skipped one by one; faces of a mesh come after them
-_LINE = re.compile(rb"[^\r\n]+")
+MAX_LISTS = 200_000  # before the vertices, where they are walked past one by one; faces of a mesh come after them
+MAX_LINES = 1_000_000  # of a text, the same
+_FILLED = re.compile(rb"\S[^\r\n]*")  # a line from its first word on, so that blank ones are passed over at once
 MAX_HEADER = 1 << 16  # bytes; a 3DGS header has about 1,500
 
 
@@ -135,13 +137,14 @@ def _checked_element(name: str, count: int, properties: list[Property]) -> Eleme
     return Element(name, count, tuple(properties))
 
 
-def vertex_columns(data: bytes, header: Header) -> dict[str, F64]:
-    """The vertex table as float64 columns by name. Raises `PlyError` for a truncated file."""
+def vertex_columns(data: bytes, header: Header, names: Collection[str]) -> dict[str, F64]:
+    """Those of the vertex table's columns that have one of `names`, as float64. Raises `PlyError` for a truncated
+    file."""
     if header.byte_order is None:
-        return _ascii_columns(data, header)
+        return _ascii_columns(data, header, names)
     table = binary_rows(data, header, header.vertex)
     with np.errstate(invalid="ignore"):  # signalling NaNs; columns that are used are checked for NaN
-        return {prop.name: table[prop.name].astype(np.float64) for prop in header.vertex.properties}
+        return {name: table[name].astype(np.float64) for name in table.dtype.names or () if name in names}
 
 
 def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
@@ -152,12 +155,7 @@ def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
     order = header.byte_order or "<"
     offset = header.body
     before = header.before(element.name)
-    if (lists := sum(other.count * other.lists for other in before)) > MAX_LISTS:
-        raise PlyError(
-            f"{lists} lists stand before it, at most {MAX_LISTS} are walked past",
-            field=element.name,
-            cure="write the vertices first",
-        )
+    _require_passable(sum(other.count * other.lists for other in before), MAX_LISTS, "lists", element)
     for other in before:
         offset = _skip_binary(data, offset, other, order)
     row = row_type(element, order)
@@ -167,6 +165,15 @@ def binary_rows(data: bytes, header: Header, element: Element) -> NDArray:
 def row_type(element: Element, byte_order: str) -> np.dtype:
     """Structured type of a row of an element without lists."""
     return np.dtype([(prop.name, byte_order + prop.kind) for prop in element.properties])
+
+
+def _require_passable(count: int, most: int, what: str, element: Element) -> None:
+    if count > most:
+        raise PlyError(
+            f"{count} {what} stand before it, at most {most} are walked past",
+            field=element.name,
+            cure="write the vertices first",
+        )
 
 
 def _whole_rows(data: bytes, offset: int, element: Element, row_bytes: int) -> int:
@@ -193,18 +200,19 @@ def _skip_binary(data: bytes, offset: int, element: Element, byte_order: str) ->
         if prop.length_kind is None:
             between += size
         else:
-            lists.append((between, np.dtype(byte_order + prop.length_kind), size, prop.name))
+            length = np.dtype(prop.length_kind)
+            lists.append((between, length.itemsize, length.kind == "i", size, prop.name))
             between = 0
+    order: Literal["little", "big"] = "little" if byte_order == "<" else "big"
     for index in range(element.count):
-        for before, length_type, size, name in lists:
-            _require_bytes(data, offset, before + length_type.itemsize, element, index)
-            offset += before
-            length = int(np.frombuffer(data, length_type, count=1, offset=offset)[0])
-            if length < 0:
-                raise PlyError(f"a list has length {length}", field=f"{element.name}.{name}", index=index)
-            offset += length_type.itemsize
-            _require_bytes(data, offset, size * length, element, index)
-            offset += size * length
+        for before, bytes_of_count, signed, size, name in lists:
+            _require_bytes(data, offset, before + bytes_of_count, element, index)
+            offset += before + bytes_of_count
+            count = int.from_bytes(data[offset - bytes_of_count : offset], order, signed=signed)
+            if count < 0:
+                raise PlyError(f"a list has length {count}", field=f"{element.name}.{name}", index=index)
+            _require_bytes(data, offset, size * count, element, index)
+            offset += size * count
         _require_bytes(data, offset, between, element, index)
         offset += between
     return offset
@@ -222,14 +230,14 @@ def _require_bytes(data: bytes, offset: int, size: int, element: Element, index:
 
 def filled_lines(data: bytes, header: Header) -> Iterator[bytes]:
     """The lines in the body of an ASCII file that are not blank."""
-    found = (match.group() for match in _LINE.finditer(data, header.body))
-    return (line for line in found if line.strip())
+    return (match.group() for match in _FILLED.finditer(data, header.body))
 
 
-def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
-    """Columns from an ASCII file with one row per line; blank lines are skipped."""
+def _ascii_columns(data: bytes, header: Header, names: Collection[str]) -> dict[str, F64]:
+    """The named columns of an ASCII file with one row per line; blank lines are skipped."""
     start = sum(element.count for element in header.before("vertex") if element.properties)
     vertex = header.vertex
+    _require_passable(start, MAX_LINES, "lines", vertex)
     lines = list(islice(filled_lines(data, header), start, start + vertex.count))  # skips earlier elements
     if vertex.count > len(lines):
         raise PlyError(
@@ -242,14 +250,17 @@ def _ascii_columns(data: bytes, header: Header) -> dict[str, F64]:
     if 2 * need * vertex.count > len(data):  # a row is too short, which is told before memory for all is taken
         for index, line in enumerate(lines):
             _words(line, need, index)
-    table = np.empty((vertex.count, need))
+    taken = {prop.name: place for place, prop in enumerate(vertex.properties) if prop.name in names}
+    places = list(taken.values())
+    table = np.empty((len(taken), vertex.count))
     for index, line in enumerate(lines):
         words = _words(line, need, index)
         try:
-            table[index] = [float(word) for word in words]
+            numbers = [float(word) for word in words]
         except ValueError as error:
             raise PlyError(f"row is not made of numbers: {line[:80]!r}", field="vertex", index=index) from error
-    return {prop.name: table[:, column].copy() for column, prop in enumerate(vertex.properties)}
+        table[:, index] = [numbers[place] for place in places]
+    return dict(zip(taken, table, strict=True))
 
 
 def _words(line: bytes, need: int, index: int) -> list[bytes]:

@@ -57,11 +57,11 @@ def inspect_ply(
     rest, coloured = _checked_properties(header)
     check_count(header.vertex.count, max_count, "vertex")
     of_type(dialect, Dialect, "dialect", DIALECT_CURE)
-    columns = vertex_columns(data, header)
+    names = (*REQUIRED, *(f"f_rest_{i}" for i in range(rest)))
+    columns = vertex_columns(data, header, {*names, *(COLOURS if coloured else ())})
     remarks = _passed_over(header, rest, coloured) + behind(data, header)
     if coloured:
         remarks.append(_colours(columns, header))
-    names = (*REQUIRED, *(f"f_rest_{i}" for i in range(rest)))
     taken = taken_as(_readable(columns, names, dialect), dialect)
     remarks += taken.remarks
     rows = header.vertex.count

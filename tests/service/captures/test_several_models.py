@@ -68,6 +68,17 @@ def test_of_models_that_do_not_say_their_number_of_images_the_images_are_counted
     assert "sparse/1 (3 images) is read; ignored: sparse/0 (2 images)" in chosen.warnings[0]["message"]
 
 
+def test_of_many_silent_models_the_first_are_counted(tmp_path: Path) -> None:
+    """Each may have tens of thousands of lines, and a small archive thousands of models."""
+    write_models(tmp_path, {f"sparse/{number}": 3 if number == 16 else 2 for number in range(17)}, text=True)
+    for images in tmp_path.rglob("images.txt"):
+        images.write_text("".join(line for line in images.read_text().splitlines(True) if not line.startswith("#")))
+    assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == "sparse/0/images.txt"
+    first = tmp_path / "sparse/0/images.txt"
+    first.write_text("# Number of images: 2\n" + first.read_text())
+    assert open_capture(tmp_path).choose(ViewSelection()).selection["cameras"] == "sparse/16/images.txt"
+
+
 def test_each_model_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is read of a zip is limited in all."""
     write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3, "colmap/sparse/0": 2}, text=True)

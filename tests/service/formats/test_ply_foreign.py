@@ -265,6 +265,16 @@ def test_endless_lists_before_the_vertices_are_refused_at_once():
             read_ply(OURS[:start] + head + OURS[start:body] + bytes(5_000_000))
 
 
+def test_endless_lines_before_the_vertices_are_refused_at_once():
+    text = by_plyfile(text=True)
+    for count, told in (
+        (1_000_000, "rows are declared"),
+        (1_000_001, "1000001 lines stand before it, at most 1000000"),
+    ):
+        with pytest.raises(PlyError, match=told):
+            read_ply(text.replace(b"element vertex", b"element a %d\nproperty int b\nelement vertex" % count))
+
+
 @pytest.mark.parametrize("behind", [True, False])
 def test_text_around_the_vertices_costs_nothing(behind):
     text, more = by_plyfile(text=True), b"0\n" * 500_000
