@@ -17,6 +17,7 @@ F64 = NDArray[np.float64]
 Selection = slice | NDArray[np.bool_] | NDArray[np.integer] | Sequence[int]
 
 GAUSSIANS_CURE = "give those of a scene, or what read_gaussians returns"  # where something else was given
+_UNIT = 2.0**-23  # from 1: lengths in float64 of unit rows that were rounded to float32
 _TAIL = {"means": (3,), "scales": (3,), "rotations_wxyz": (4,), "opacities": ()}
 
 
@@ -115,13 +116,20 @@ def without_zero_bands(gaussians: Gaussians) -> Gaussians:
 
 
 def normalized_quaternions(wxyz: F32 | F64) -> F32:
-    """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38. Zero: identity."""
+    """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38. Zero: identity.
+
+    Rows that are as near to unit length as float32 holds it stay as they are, so that a file that is read and written
+    again is the same to the bit.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        own = wxyz.astype(np.float32)
+        unit = np.abs(np.linalg.norm(own.astype(np.float64), axis=1) - 1) <= _UNIT
     q = wxyz.astype(np.float64)
     largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
     zero = largest[:, 0] == 0
     q = q / np.where(largest > 0, largest, 1.0)
     q[zero] = (1.0, 0.0, 0.0, 0.0)
-    return (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
+    return np.where(unit[:, None], own, q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _array(name: str, value: object, dtype: type[np.floating]) -> NDArray:

@@ -111,7 +111,7 @@ class SceneFile(FileResponse):
                 await anyio.to_thread.run_sync(lambda: held.enter_context(self._store.reading(self._scene_id)))
                 await super().__call__({**scope, "headers": headers}, receive, watched)
         except (SceneNotFound, RuntimeError) as error:  # deleted before anything was sent
-            if isinstance(error, RuntimeError) and self._store.exists(self._scene_id):
+            if isinstance(error, RuntimeError) and await anyio.to_thread.run_sync(self._store.exists, self._scene_id):
                 raise
             await problems.response(of_error(unknown(self._scene_id)))(scope, receive, send)
         if beyond:

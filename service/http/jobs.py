@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import anyio
+import anyio.to_thread
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BeforeValidator, Field
@@ -36,7 +37,7 @@ def wanted_async(preferences: Sequence[str]) -> bool:
 
 
 def accepted_job(runtime: Runtime, job: Job, said: Mapping[str, Any]) -> Response:
-    """202 with the document of the job and `said`, members about the request itself."""
+    """202 with the document of the job and `said`, members about the request itself. To be called on a worker thread."""
     headers = {"Location": f"/jobs/{job.id}", "Preference-Applied": "respond-async", "Vary": "Accept, Prefer"}
     return json_response({**job_document(runtime, job), **said}, 202, headers)
 
@@ -70,7 +71,7 @@ async def job_events(
 ) -> Response:
     """Server-sent events `state` and `stage`, numbered, from the first or after the last one received, with comments as
     a heartbeat; the stream ends with the job."""
-    runtime.jobs.table.get(job_id)
+    await anyio.to_thread.run_sync(runtime.jobs.table.get, job_id)
     after = max(query.after, query.last_event_id)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     if request.method == "HEAD":
@@ -99,7 +100,7 @@ def cancel_job(job_id: str, runtime: RuntimeDep) -> Response:
 
 
 def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
-    """The job as JSON values; `problem` and `links.scene` are present once they exist."""
+    """The job as JSON values; `problem` and `links.scene` are present once they exist. To be called on a worker thread."""
     table = runtime.jobs.table
     document: dict[str, Any] = {
         "id": job.id,
@@ -125,10 +126,10 @@ async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -
         yield f"retry: {RETRY_MS}\n\n"
         while not runtime.stopping:
             try:
-                over = table.get(job_id).over  # read before the events, of which none follows the end
+                over = (await anyio.to_thread.run_sync(table.get, job_id)).over  # read before the events, of which none follows the end
             except JobNotFound:  # forgotten, or deleted with the index: who asks for its state is told
                 return
-            for event in table.events(job_id, after):
+            for event in await anyio.to_thread.run_sync(table.events, job_id, after):
                 after, heard = event.seq, time.monotonic()
                 yield _text(event)
             if over or await request.is_disconnected():

@@ -48,7 +48,7 @@ async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
     with the header `Prefer: respond-async`."""
     form = accepted(", ".join(request.headers.getlist("accept")))
     models = runtime.models  # raises `ModelNotReady` until the default model is loaded
-    runtime.jobs.table.check_room()  # before the body is read: a full queue costs no memory
+    await anyio.to_thread.run_sync(runtime.jobs.table.check_room)  # before the body is read: a full queue costs no memory
     kept = wanted_async(request.headers.getlist("prefer"))
     if not kept:
         runtime.scenes.check()
@@ -71,7 +71,7 @@ async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
             del work  # frees the photographs, which are on disk now
             request.scope[RELEASE]()
         if job is not None and kept:
-            return accepted_job(runtime, job, summary.document())
+            return await anyio.to_thread.run_sync(accepted_job, runtime, job, summary.document())
         if job is not None:
             job = await ended(runtime.jobs, job, runtime.settings.wait_seconds, request.is_disconnected)
             if job.state != "done":

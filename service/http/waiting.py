@@ -29,7 +29,7 @@ async def ended(jobs: JobService, job: Job, patience_s: float, gone: Gone) -> Jo
     try:
         while True:
             try:
-                job = jobs.table.get(job.id)
+                job = await anyio.to_thread.run_sync(jobs.table.get, job.id)
             except JobNotFound as error:
                 raise InputsGone("the job was deleted, with the index of the store", cure="ask for it again") from error
             if job.over:

@@ -25,7 +25,8 @@ class Definition:
 
     alpha_min: float = 1 / 255
     """A layer below this moves an 8-bit pixel by less than one level, and the cut keeps footprints finite. It also
-    bounds the rounding of the transmittance, at most 6e-8 of itself per layer, to 2.2e-8 / alpha_min = 6e-6."""
+    bounds the rounding of the transmittance, at each layer at most 6e-8 of the light in front of it, to 6e-8 /
+    alpha_min = 1.5e-5: layers that stop all light let at most 1 / alpha_min through in sum."""
 
     alpha_max: float = float(np.float32(0.99))
     """No layer is fully opaque. The value is exact in float32, so that two such layers (T = 0.99998e-4) fall

@@ -147,6 +147,7 @@ def test_a_second_round_trip_changes_nothing_that_matters(seed, count, degree):
     twice = read_ply(ply_bytes(once))
     assert twice.means.tobytes() == once.means.tobytes()
     assert twice.harmonics.tobytes() == once.harmonics.tobytes()
+    assert twice.rotations_wxyz.tobytes() == once.rotations_wxyz.tobytes()
     assert np.abs(twice.opacities - once.opacities).max() <= 1.2e-7
     assert np.abs(twice.scales / once.scales - 1).max() <= 5e-7
 
