@@ -108,12 +108,21 @@ def test_frames_win_over_images(tmp_path: Path) -> None:
     assert_same(tmp_path)
 
 
+@pytest.mark.parametrize("without", ["rigs", "frames"])
+def test_where_rigs_or_frames_are_missing_images_have_their_own_poses(tmp_path: Path, without: str) -> None:
+    rigged_model(0).write_binary(str(tmp_path))
+    before = read_camera_file(tmp_path).views
+    (tmp_path / f"{without}.bin").unlink()
+    for view, same in zip(read_camera_file(tmp_path).views, before, strict=True):
+        np.testing.assert_allclose(view.camera.world_from_cam, same.camera.world_from_cam, atol=1e-12)
+
+
 def test_binary_wins_over_text_and_a_named_file_is_its_model(tmp_path: Path) -> None:
     write_colmap(tmp_path, arc(3))
     colmap_model(arc(5), names(5)).write_text(str(tmp_path / "sparse/0"))
     assert len(read_camera_file(tmp_path).views) == 3
     for form, count in (("bin", 3), ("txt", 5)):
-        for name in ("images", "cameras", "points3D"):
+        for name in ("images", "cameras", "rigs", "frames", "points3D"):
             assert len(read_camera_file(tmp_path / f"sparse/0/{name}.{form}").views) == count
     (tmp_path / "sparse/0/cameras.bin").unlink()
     assert len(read_camera_file(tmp_path).views) == 5
@@ -241,7 +250,7 @@ def test_comments_empty_lines_and_carriage_returns(tmp_path: Path) -> None:
     assert [view.image for view in read_camera_file(tmp_path).views] == names(3)
 
 
-@pytest.mark.parametrize("numbers", [(0.0, 0.0, 0.0, 0.0), (np.nan, 0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("numbers", [(0.0, 0.0, 0.0, 0.0), (np.nan, 0.0, 0.0, 0.0), (1e200, 0.0, 0.0, 0.0)])
 def test_quaternions_that_are_none(tmp_path: Path, numbers: tuple[float, ...]) -> None:
     single_camera(tmp_path, "PINHOLE")
     for name in ("rigs.bin", "frames.bin"):

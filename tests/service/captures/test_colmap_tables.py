@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import io
 import struct
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pytest
 
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.captures import colmap_binary, colmap_text
+from gapmes.service.captures.capture import read_camera_file
 from gapmes.service.captures.colmap import folders_below_project
 from gapmes.service.captures.colmap_model import IDENTITY, ColmapFrame, ColmapImage, ColmapModel
 from gapmes.service.captures.table import MAX_LISTED
-from gapmes.service.errors import CameraError
+from gapmes.service.errors import CameraError, InputError
 
 HALF = MAX_LISTED // 2
 RIG = struct.pack("<II", 7, HALF) + struct.pack("<iI", 0, 1) + struct.pack("<iIB", 0, 2, 0) * (HALF - 1)
@@ -59,6 +60,13 @@ def test_an_id_that_is_there_twice_is_refused(what: str) -> None:
         text(io.BytesIO(2 * TEXT[what].encode()), "a.txt")
 
 
+def test_letters_of_names_are_those_of_utf_8_in_both_forms() -> None:
+    name = "Küche/æ 1.png"
+    binary = colmap_binary.read_images(io.BytesIO(struct.pack("<Q", 1) + IMAGE.replace(b"a", name.encode())), "a.bin")
+    text = colmap_text.read_images(io.BytesIO(TEXT["images"].replace("a", name).encode()), "a.txt")
+    assert (binary[7].name, text[7].name) == (name, name)
+
+
 def test_frames_in_text_are_limited_together() -> None:
     """A frame of no images is one."""
     lines = [f"{place} 7 1 0 0 0 0 0 0 {count}" + " CAMERA 1 3" * count for place, count in enumerate((HALF, HALF, 0))]
@@ -90,6 +98,34 @@ def test_what_another_kind_of_sensor_took_is_no_image() -> None:
     frames = {4: ColmapFrame(6, there, (((0, 1), 3),)), 5: ColmapFrame(6, elsewhere, (((1, 1), 3),))}
     model = ColmapModel(images={3: ColmapImage("a.png", 1, IDENTITY)}, rigs={6: rig}, frames=frames)
     assert model.pose(3)[:3, 3].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_an_image_of_a_sensor_of_unknown_pose_has_its_own() -> None:
+    """Not that of its frame, which is the pose of the rig's reference."""
+    here, there = ((*IDENTITY[:4], *place) for place in ((1.0, 2.0, 3.0), (7.0, 8.0, 9.0)))
+    frames = {4: ColmapFrame(6, there, (((0, 1), 3), ((0, 2), 5)))}
+    images = {3: ColmapImage("a.png", 1, here), 5: ColmapImage("b.png", 2, here)}
+    model = ColmapModel(images=images, rigs={6: {(0, 1): IDENTITY, (0, 2): None}}, frames=frames)
+    assert model.pose(3)[:3, 3].tolist() == [7.0, 8.0, 9.0]
+    assert model.pose(5)[:3, 3].tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("lens", "place", "told"),
+    [
+        ("2 FOV 64 48 60 60 32 24 1", "0 0 0", "camera 2 is FOV"),
+        ("2 PINHOLE 64 48 nan 60 32 24", "0 0 0", "fx = nan"),
+        ("9 PINHOLE 64 48 60 60 32 24", "0 0 0", "is of camera 2, which is missing"),
+        ("2 PINHOLE 64 48 60 60 32 24", "0 inf 0", "1 of 16 numbers are NaN or infinite"),
+    ],
+)
+def test_what_is_wrong_with_an_image_is_told_with_its_place(tmp_path: Path, lens: str, place: str, told: str) -> None:
+    """In the order of the names, whatever the ids are."""
+    (tmp_path / "cameras.txt").write_text(f"1 PINHOLE 64 48 60 60 32 24\n{lens}\n")
+    (tmp_path / "images.txt").write_text(f"3 1 0 0 0 {place} 2 b.png\n\n8 1 0 0 0 0 0 0 1 a.png\n\n")
+    with pytest.raises(InputError, match=told) as caught:
+        read_camera_file(tmp_path)
+    assert caught.value.index == 1
 
 
 @pytest.mark.parametrize(
