@@ -19,7 +19,14 @@ from hostile import archive_of, opened, peak_below
 from gapmes.service.cameras.depth_range import depth_range
 from gapmes.service.captures import colmap_binary, colmap_model, colmap_points, colmap_text
 from gapmes.service.captures.capture import open_capture
-from gapmes.service.captures.colmap_model import IDENTITY, MAX_POINTS, ColmapImage, ColmapModel, Points
+from gapmes.service.captures.colmap_model import (
+    IDENTITY,
+    MAX_POINTS,
+    ColmapFrame,
+    ColmapImage,
+    ColmapModel,
+    Points,
+)
 from gapmes.service.captures.colmap_points import (
     BEFORE,
     BEYOND,
@@ -158,6 +165,7 @@ def test_texts_of_points_name_the_line() -> None:
         ("7 1 2 3 0 0 0", "a.txt, line 1: a point has 7 columns"),
         ("7 1 x 3 0 0 0 0.5", "a.txt, line 1: could not convert"),
         ("7 1 2 3 0 0 0 0.5 4294967296 0", "a.txt, line 1: an image's number"),
+        ("7 1 2 3 0 0 0 0.5 -1 0", "a.txt, line 1: an image's number"),
         ("7 1 2 3 0 0 0 0.5" + 2**18 * " 4 0", "a.txt, line 1 has more than 1048576 bytes"),
     ):
         with pytest.raises(CameraError, match=told):
@@ -221,6 +229,24 @@ def test_depths_that_no_range_may_have_do_not_count(depth: float) -> None:
     model = ColmapModel(images={1: ColmapImage("a", 1, IDENTITY)})
     files = opened(archive_of(("points3D.bin", struct.pack("<Q", 40) + points)))
     assert depth_bounds(files, "", "bin", model) == DepthBounds({})
+
+
+@pytest.mark.parametrize(("count", "told"), [(MIN_POINTS - 1, False), (MIN_POINTS, True)])
+def test_so_many_points_tell_the_depths_of_a_view(count: int, told: bool) -> None:
+    """Of images in text, whose ids may be any whole numbers, those that no point can name have no bounds."""
+    model = ColmapModel(images={number: ColmapImage("a", 1, IDENTITY) for number in (-1, 1, 2**32 + 1)})
+    points = "".join(f"{place} 0 0 5 0 0 0 1 1 0 2 0 3 0\n" for place in range(count))
+    found = depth_bounds(opened(archive_of(("points3D.txt", points.encode()))), "", "txt", model)
+    assert found.of == ({1: pytest.approx((4.0, 6.5))} if told else {})
+
+
+def test_views_whose_pose_is_refused_take_no_bounds_from_the_others() -> None:
+    """One of a quaternion of zeros, and one of a frame whose rig is missing."""
+    images = {1: ColmapImage("a", 1, IDENTITY), 2: ColmapImage("b", 1, (0.0,) * 7), 3: ColmapImage("c", 1, IDENTITY)}
+    model = ColmapModel(images=images, frames={4: ColmapFrame(6, IDENTITY, (((0, 1), 3),))})
+    points = MIN_POINTS * b"7 0 0 5 0 0 0 1 1 0 2 0 3 0\n"
+    found = depth_bounds(opened(archive_of(("points3D.txt", points))), "", "txt", model)
+    assert found == DepthBounds({1: pytest.approx((4.0, 6.5))})
 
 
 def test_any_depths_that_count_make_a_range_that_is_accepted() -> None:

@@ -76,6 +76,20 @@ def test_frames_in_text_are_limited_together() -> None:
         colmap_text.read_frames(io.BytesIO("\n".join(lines).encode()), "a.txt")
 
 
+def test_sensors_in_text_have_a_pose_or_none() -> None:
+    text = b"7 4 CAMERA 1 IMU 1 0 CAMERA 2 1 1 0 0 0 7 8 9 CAMERA 3 0\n"
+    poses = {(0, 1): IDENTITY, (1, 1): None, (0, 2): (*IDENTITY[:4], 7.0, 8.0, 9.0), (0, 3): None}
+    assert colmap_text.read_rigs(io.BytesIO(text), "a.txt") == {7: poses}
+
+
+@pytest.mark.parametrize(
+    ("read", "line"), [(colmap_text.read_rigs, b"7 -1\n"), (colmap_text.read_frames, b"7 1 1 0 0 0 0 0 0 -1\n")]
+)
+def test_counts_in_text_are_not_negative(read, line: bytes) -> None:
+    with pytest.raises(CameraError, match=r"a\.txt, line 1: a count of -1"):
+        read(io.BytesIO(line), "a.txt")
+
+
 def test_images_in_text_are_limited() -> None:
     lines = [f"{number} 1 0 0 0 0 0 0 1 {number}.png\n\n" for number in range(MAX_LISTED + 1)]
     assert len(colmap_text.read_images(io.BytesIO("".join(lines[:-1]).encode()), "a.txt")) == MAX_LISTED

@@ -114,6 +114,22 @@ def test_a_model_that_is_not_read_may_be_damaged(tmp_path: Path, data: bytes) ->
     assert "ignored: sparse/1 (for another" in notice["message"]
 
 
+def test_a_text_that_is_not_read_may_be_damaged(tmp_path: Path) -> None:
+    write_models(tmp_path, {"sparse/0": 2, "sparse/1": 3}, text=True)
+    (tmp_path / "sparse/1/images.txt").write_text("1 2\n")
+    (notice,) = open_capture(tmp_path).table.warnings
+    assert "sparse/0 (2 images) is read; ignored: sparse/1 (for another" in notice["message"]
+
+
+def test_a_model_that_is_not_read_may_be_damaged_in_its_zip(tmp_path: Path) -> None:
+    write_models(tmp_path / "scene", {"sparse/0": 2, "sparse/1": 3})
+    name, data = b"sparse/1/images.bin", bytearray(zipped(tmp_path / "scene"))
+    data[data.index(name) + len(name)] = 0xFF  # no block of deflated bytes begins so
+    (tmp_path / "scene.zip").write_bytes(data)
+    (notice,) = open_capture(tmp_path / "scene.zip").table.warnings
+    assert "sparse/0 (2 images) is read; ignored: sparse/1 (for another" in notice["message"]
+
+
 @pytest.mark.parametrize("folder", ["sparse/1", "sparse", "colmap/sparse/3", "colmap/sparse"])
 def test_a_named_model_has_the_photographs_of_its_project(
     tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
