@@ -170,6 +170,9 @@ def test_photographs_are_bounded_together():
     with pytest.raises(ImageTooLarge) as caught:
         check_total(photos, max_pixels=3499, max_total=10**9)
     assert caught.value.index == 0
+    with pytest.raises(ImageTooLarge) as caught:
+        check_total(photos[::-1], max_pixels=3499, max_total=10**9, numbers=(4, 7, 9))
+    assert caught.value.index == 9
 
 
 def test_every_sixteen_bit_level_is_rounded():
