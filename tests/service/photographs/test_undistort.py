@@ -202,3 +202,9 @@ def test_a_photograph_of_another_size_than_its_lens_is_the_pinholes_too(width: i
     camera = pinhole_camera(lens).resized(photo.width, photo.height)
     slopes = pixel_slopes(photo.width, photo.height, camera.fx, camera.fy, camera.cx, camera.cy)
     assert np.abs(photo.rgb - scene(*slopes)).mean() < 1.0
+
+
+def test_what_exif_says_and_was_not_done_is_kept() -> None:
+    """Whether the cameras are those of the turned photographs is asked of what the network sees."""
+    lens = LENSES["barrel"]
+    assert undistorted(replace(through(lens), orientation=3), lens).orientation == 3
