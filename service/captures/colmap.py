@@ -73,7 +73,8 @@ def read_colmap(files: Files, folder: str, form: str) -> CameraTable:
             if camera is None:
                 message = f"{source}: {image.name!r} is of camera {image.camera_id}, which is missing"
                 raise CameraError(message, field="cameras", index=index, cure="are both files of one model?")
-            pose = inverted_pose(model.pose(ids[index]), field="cameras", index=index).written(COLMAP, "opencv", "w2c")
+            cam_from_world = model.pose(ids[index], index)
+            pose = inverted_pose(cam_from_world, field="cameras", index=index).written(COLMAP, "opencv", "w2c")
             lens = lens_of(camera, image.camera_id, index)
             view = view_through(image.name, lens, pose, field="cameras", index=index)
             views.append(replace(view, bounds=depths.of.get(ids[index])))

@@ -125,9 +125,9 @@ class ColmapModel:
     rigs: dict[int, dict[Sensor, tuple[float, ...] | None]] = field(default_factory=dict)
     frames: dict[int, ColmapFrame] = field(default_factory=dict)
 
-    def pose(self, image_id: int) -> F64:
+    def pose(self, image_id: int, index: int | None = None) -> F64:
         """(4, 4) cam_from_world: by the frame and its rig if they are known, as in COLMAP, else that of the image.
-        Raises `PoseError` for an invalid quaternion, `CameraError` for a missing rig.
+        Raises `PoseError` for an invalid quaternion, `CameraError` for a missing rig, both with the view's `index`.
         """
         image = self.images[image_id]
         if image_id in self._taken:
@@ -136,12 +136,13 @@ class ColmapModel:
             rig = self.rigs.get(frame.rig_id)
             if rig is None:
                 message = f"frame {frame_id} is of rig {frame.rig_id}, which is missing"
-                raise CameraError(message, field="cameras", cure="are both files of one model?")
+                raise CameraError(message, field="cameras", index=index, cure="are both files of one model?")
             sensor_from_rig = rig.get(sensor)
             if sensor_from_rig is not None:
                 with np.errstate(invalid="ignore"):  # infinite translations; the pose is checked later
-                    return rigid(sensor_from_rig, image.name) @ rigid(frame.rig_from_world, image.name)
-        return rigid(image.cam_from_world, image.name)
+                    in_rig, of_rig = (rigid(of, image.name, index) for of in (sensor_from_rig, frame.rig_from_world))
+                    return in_rig @ of_rig
+        return rigid(image.cam_from_world, image.name, index)
 
     @cached_property
     def _taken(self) -> dict[int, tuple[int, Sensor]]:
@@ -168,12 +169,13 @@ def check_points(points: int, seen: int, source: str) -> None:
             raise CameraError(message, field="capture", cure="give near and far")
 
 
-def rigid(numbers: tuple[float, ...], name: str) -> F64:
+def rigid(numbers: tuple[float, ...], name: str, index: int | None) -> F64:
     """(4, 4) matrix of qw qx qy qz tx ty tz; the quaternion is normalised, as in COLMAP. Raises `PoseError`."""
     wxyz = np.array(numbers[:4])
     with np.errstate(over="ignore"):
         length = float(np.linalg.norm(wxyz))
     if not (np.isfinite(length) and length > 0):
         message = f"image {name!r} has a quaternion of length {length:g}, need 1"
-        raise PoseError(message, field="cameras", cure="was the pose of this image found at all? leave it out")
+        cure = "was the pose of this image found at all? leave it out"
+        raise PoseError(message, field="cameras", index=index, cure=cure)
     return rigid_motion(matrix_from_quaternion(wxyz / length), np.array(numbers[4:]))

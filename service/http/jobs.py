@@ -37,7 +37,8 @@ def wanted_async(preferences: Sequence[str]) -> bool:
 
 
 def accepted_job(runtime: Runtime, job: Job, said: Mapping[str, Any]) -> Response:
-    """202 with the document of the job and `said`, members about the request itself. To be called on a worker thread."""
+    """202 with the document of the job and `said`, members about the request itself; to be called on a worker
+    thread."""
     headers = {"Location": f"/jobs/{job.id}", "Preference-Applied": "respond-async", "Vary": "Accept, Prefer"}
     return json_response({**job_document(runtime, job), **said}, 202, headers)
 
@@ -100,7 +101,8 @@ def cancel_job(job_id: str, runtime: RuntimeDep) -> Response:
 
 
 def job_document(runtime: Runtime, job: Job) -> dict[str, Any]:
-    """The job as JSON values; `problem` and `links.scene` are present once they exist. To be called on a worker thread."""
+    """The job as JSON values; `problem` and `links.scene` are present once they exist. To be called on a worker
+    thread."""
     table = runtime.jobs.table
     document: dict[str, Any] = {
         "id": job.id,
@@ -126,13 +128,13 @@ async def _events(request: Request, runtime: Runtime, job_id: str, after: int) -
         yield f"retry: {RETRY_MS}\n\n"
         while not runtime.stopping:
             try:
-                over = (await anyio.to_thread.run_sync(table.get, job_id)).over  # read before the events, of which none follows the end
+                job = await anyio.to_thread.run_sync(table.get, job_id)  # before the events: none follows its end
             except JobNotFound:  # forgotten, or deleted with the index: who asks for its state is told
                 return
             for event in await anyio.to_thread.run_sync(table.events, job_id, after):
                 after, heard = event.seq, time.monotonic()
                 yield _text(event)
-            if over or await request.is_disconnected():
+            if job.over or await request.is_disconnected():
                 return
             if time.monotonic() - heard > runtime.settings.heartbeat_seconds:
                 heard = time.monotonic()

@@ -48,7 +48,7 @@ async def reconstruct(request: Request, runtime: RuntimeDep) -> Response:
     with the header `Prefer: respond-async`."""
     form = accepted(", ".join(request.headers.getlist("accept")))
     models = runtime.models  # raises `ModelNotReady` until the default model is loaded
-    await anyio.to_thread.run_sync(runtime.jobs.table.check_room)  # before the body is read: a full queue costs no memory
+    await anyio.to_thread.run_sync(runtime.jobs.table.check_room)  # before the body: a full queue costs no memory
     kept = wanted_async(request.headers.getlist("prefer"))
     if not kept:
         runtime.scenes.check()

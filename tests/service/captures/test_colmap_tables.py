@@ -125,18 +125,19 @@ def test_an_image_of_a_sensor_of_unknown_pose_has_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lens", "place", "told"),
+    ("lens", "pose", "told"),
     [
-        ("2 FOV 64 48 60 60 32 24 1", "0 0 0", "camera 2 is FOV"),
-        ("2 PINHOLE 64 48 nan 60 32 24", "0 0 0", "fx = nan"),
-        ("9 PINHOLE 64 48 60 60 32 24", "0 0 0", "is of camera 2, which is missing"),
-        ("2 PINHOLE 64 48 60 60 32 24", "0 inf 0", "1 of 16 numbers are NaN or infinite"),
+        ("2 FOV 64 48 60 60 32 24 1", "1 0 0 0 0 0 0", "camera 2 is FOV"),
+        ("2 PINHOLE 64 48 nan 60 32 24", "1 0 0 0 0 0 0", "fx = nan"),
+        ("9 PINHOLE 64 48 60 60 32 24", "1 0 0 0 0 0 0", "is of camera 2, which is missing"),
+        ("2 PINHOLE 64 48 60 60 32 24", "1 0 0 0 0 inf 0", "1 of 16 numbers are NaN or infinite"),
+        ("2 PINHOLE 64 48 60 60 32 24", "0 0 0 0 0 0 0", "'b.png' has a quaternion of length 0"),
     ],
 )
-def test_what_is_wrong_with_an_image_is_told_with_its_place(tmp_path: Path, lens: str, place: str, told: str) -> None:
+def test_what_is_wrong_with_an_image_is_told_with_its_place(tmp_path: Path, lens: str, pose: str, told: str) -> None:
     """In the order of the names, whatever the ids are."""
     (tmp_path / "cameras.txt").write_text(f"1 PINHOLE 64 48 60 60 32 24\n{lens}\n")
-    (tmp_path / "images.txt").write_text(f"3 1 0 0 0 {place} 2 b.png\n\n8 1 0 0 0 0 0 0 1 a.png\n\n")
+    (tmp_path / "images.txt").write_text(f"3 {pose} 2 b.png\n\n8 1 0 0 0 0 0 0 1 a.png\n\n")
     with pytest.raises(InputError, match=told) as caught:
         read_camera_file(tmp_path)
     assert caught.value.index == 1
