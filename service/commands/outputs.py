@@ -195,9 +195,11 @@ def check_sheet(output: Path, channel: Channel, shots: Sequence[Camera]) -> None
     """Raises `InputError` unless a sheet shows rgb, in a format that holds one, within the limit of its sides."""
     from ..pictures.contact_sheet import CELL, in_rows, sheet_size
 
-    if channel != "rgb" or output.suffix.lower() not in SHEET_FORMATS:
-        message = f"is {channel} in {output.name!r}, need rgb in one of {', '.join(SHEET_FORMATS)}"
-        raise InputError(message, field="sheet", cure="name such a file, and leave --channel out")
+    if channel != "rgb":
+        raise InputError(f"a sheet shows rgb, not {channel}", field="channel", cure="leave it out")
+    if output.suffix.lower() not in SHEET_FORMATS:
+        message = f"is one file, and {output.name!r} does not end in one of {', '.join(SHEET_FORMATS)}"
+        raise InputError(message, field="sheet", cure=f"name a file, such as {output.name}.png")
     cells = [within(camera, CELL) for camera in shots]
     size = sheet_size(in_rows([(cell.width, cell.height) for cell in cells]))
     format = SHEET_FORMATS[output.suffix.lower()]

@@ -186,9 +186,10 @@ MANY = ",".join(f"orbit:{number}" for number in range(307))
         ("film.mp4", ("--size", "33x32"), "width: 33 px, MP4 needs an even number"),
         ("film.webp", ("--size", "16384x10"), "width: 16384 px, the limit of webp is 16383"),
         ("no/folder/film.webp", (), "is not a folder"),
-        ("sheet.gif", ("--sheet",), "sheet: is rgb in 'sheet.gif', need rgb in one of .png, .jpg"),
+        ("sheet.gif", ("--sheet",), "sheet: is one file, and 'sheet.gif' does not end in one of .png, .jpg"),
+        ("sheet", ("--sheet",), "such as sheet.png"),
         ("sheet.webp", ("--sheet", "--fps", 20), "fps: goes with a film, and 'sheet.webp' is a sheet"),
-        ("sheet.png", ("--sheet", "--channel", "alpha"), "sheet: is alpha in 'sheet.png'"),
+        ("sheet.png", ("--sheet", "--channel", "alpha"), "channel: a sheet shows rgb, not alpha (leave it out)"),
         (
             "sheet.webp",
             ("--sheet", "--size", "400x400", "--views", MANY),
