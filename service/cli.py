@@ -21,6 +21,12 @@ from .process.allocator import give_back_freed
 from .process.ending import ended_in_order
 from .process.streams import open_missing, visible, write_to
 
+_CURES = {  # of what is neither lack of room nor of permission
+    errno.ENAMETOOLONG: "give it a shorter name",
+    errno.EISDIR: "a folder has that name: move it away, or write elsewhere",
+    errno.ENOTDIR: "a file has the name of a folder on the way: move it away, or write elsewhere",
+}
+
 
 def _show_version(asked: bool) -> None:
     if asked:
@@ -94,7 +100,7 @@ def _of_system(error: OSError) -> tuple[str, dict[str, Any]]:
     if error.filename is None and error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return detail, problem(500, "system_error", detail)
     who = f" as uid {os.getuid()}" if isinstance(error, PermissionError) else ""
-    cure = f"is there room, and permission to read and write there{who}?"
+    cure = _CURES.get(error.errno or 0, f"is there room, and permission to read and write there{who}?")
     return f"{detail} ({cure})", problem(500, "storage_error", detail, cure=cure)
 
 

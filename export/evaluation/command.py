@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +12,7 @@ from gapmes.service.commands.given import Threads, output_option
 from gapmes.service.errors import GapmesError, ModelError
 from gapmes.service.mending.fade_passes import DEFAULT_PASSES, checked_passes
 from gapmes.service.network.backends.choice import DEFAULT_ENGINE, ENGINES
+from gapmes.service.process.streams import write_result
 from gapmes.service.process.terminal import ProgressBars, Quiet
 
 NEEDED = ("torch", "onnx", "onnxscript", "safetensors")  # of the extra `export`
@@ -109,6 +108,6 @@ def evaluate(
         bars.say(f"{verdict:6}  {floor.name}: {floor.value} (need {floor.need})")
     bars.say(f"wrote {out / 'report.json'}, {out / 'report.md'} and a picture per scene")
     if as_json:
-        sys.stdout.write(json.dumps(report.document(), allow_nan=False) + "\n")
+        write_result(report.document())
     if check and missed:
         raise typer.Exit(FLOOR_MISSED)

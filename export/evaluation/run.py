@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -132,19 +133,30 @@ def _group(
 
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
-    """The plan with the captures that can be evaluated. Raises `InputError` for one that is none or has an unusable
-    photograph, and where none is left."""
-    folders, left_out = {}, {}
+    """The plan with the captures that can be evaluated. Raises `InputError` for one that is none, has an unusable
+    photograph, or has the photographs of another, and where none is left."""
+    folders: dict[str, Path] = {}
+    refused: dict[str, NoSuchViews] = {}
+    known: dict[bytes, str] = {}
     for name, folder in plan.folders.items():
         try:
-            photograph_case(folder, plan.inputs, *plan.size)
-            folders[name] = folder
+            case = photograph_case(folder, plan.inputs, *plan.size)
         except NoSuchViews as refusal:
-            left_out[name] = str(refusal)
-    if left_out and not folders:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
-        raise InputError(f"no scene has {plan.inputs} inputs with targets ({reasons})", field="SCENE_DIR")
-    return replace(plan, folders=folders, left_out=left_out)
+            refused[name] = refusal
+            continue
+        pictures = hashlib.sha256(b"".join(view.image.tobytes() for view in (*case.inputs, *case.targets))).digest()
+        if (same := known.setdefault(pictures, name)) != name:
+            message = f"{name} has the inputs and targets of {same} and would count as another scene in the means"
+            raise InputError(
+                message, field="SCENE_DIR", cure="name each capture once, by its folder or its camera file"
+            )
+        folders[name] = folder
+    if refused and not folders:
+        reasons = "; ".join(f"{name}: {refusal.message}" for name, refusal in refused.items())
+        cure = next(iter(refused.values())).cure
+        message = f"no scene has {plan.inputs} inputs with targets ({reasons})"
+        raise InputError(message, field="SCENE_DIR", cure=cure)
+    return replace(plan, folders=folders, left_out={name: str(refusal) for name, refusal in refused.items()})
 
 
 def _cases(plan: GroupPlan) -> Iterator[Case]:

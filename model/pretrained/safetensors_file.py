@@ -35,6 +35,8 @@ def read_safetensors_metadata(path: Path) -> dict[str, str]:
 
 def unreadable(path: Path, error: Exception) -> str:
     """Why `path` cannot be read, with the likely cure."""
+    if isinstance(error, FileNotFoundError):
+        return f"{path}: no such file"
     said = f"{path} cannot be read as safetensors: "
     if "Dtype not understood" in str(error):  # in the format, and no kind of torch's
         return f"{said}torch lacks a kind of numbers in it ({error}); save its tensors as float32, float16 or bfloat16"

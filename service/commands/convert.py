@@ -61,6 +61,8 @@ def convert(
 
     cure = "end it in one of them, or give --to"
     target = format_of_path(output, field="OUT", cure=cure) if to is None else format_named(to, field="to")
+    if not measure:
+        raise InputError("is empty, need a camera file, around or off", field="measure", cure="leave it out for around")
     capture = None if measure in ("around", "off") else capture_of_option(Path(measure), "measure")
     cameras = None if capture is None else capture.cameras(range(len(capture.table.names))).cameras
     check_input_file(source, "IN", source_format)
@@ -94,7 +96,8 @@ def convert(
     if blind := [str(place) for place, value in enumerate(values) if value is None]:
         which = f"{', '.join(blind[:10])}{', …' if len(blind) > 10 else ''} of {len(values)}, counted from 0"
         unmeasured.append(f"nothing was compared where cameras see nothing of the Gaussians: {which}")
-    warnings = [*passed_over, *reading.notes(), *encoded.notes, *unmeasured]
+    empty = [] if len(gaussians) else [f"{source} holds no Gaussian: is it the right file, and whole?"]
+    warnings = [*empty, *passed_over, *reading.notes(), *encoded.notes, *unmeasured]
     bars.say(
         f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "
         f"{len(encoded.data) / max(before, 1):.1%} of {before:,}"

@@ -141,7 +141,9 @@ def empty_pictures(drawing: Drawing) -> list[str]:
     why = ", ".join(f"{count} {REASONS[reason].format(near=near)}" for reason, count in culled.items())
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     cure = "lower --alpha-min"
-    if set(culled) != {"faint"}:
+    if not len(drawing.gaussians):
+        cure = "is it the right file, and whole?"
+    elif set(culled) != {"faint"}:
         cure = "do scene and cameras have the same unit, origin and axes? near puts the near plane at a tenth of it"
     return [
         f"{', '.join(names[:LISTED])}{more}: none of {len(drawing.gaussians)} Gaussians is drawn "

@@ -258,7 +258,7 @@ def _ascii_columns(data: bytes, header: Header, names: Collection[str]) -> dict[
         try:
             numbers = [float(word) for word in words]
         except ValueError as error:
-            raise PlyError(f"row is not made of numbers: {line[:80]!r}", field="vertex", index=index) from error
+            raise PlyError(f"row {index} is not made of numbers: {line[:80]!r}", field="vertex", index=index) from error
         table[:, index] = [numbers[place] for place in places]
     return dict(zip(taken, table, strict=True))
 
@@ -266,5 +266,5 @@ def _ascii_columns(data: bytes, header: Header, names: Collection[str]) -> dict[
 def _words(line: bytes, need: int, index: int) -> list[bytes]:
     words = line.split()
     if len(words) != need:
-        raise PlyError(f"row has {len(words)} numbers, need {need}", field="vertex", index=index)
+        raise PlyError(f"row {index} has {len(words)} numbers, need {need}", field="vertex", index=index)
     return words

@@ -30,7 +30,11 @@ def default_views(gaussians: Gaussians) -> SceneViews:
     Gaussians, or if the camera would be too far away.
     """
     if not len(gaussians):
-        raise GaussiansError("there is none, and a camera needs something to look at", cure="is it the right file?")
+        raise GaussiansError(
+            "0 Gaussians, need at least 1 for a camera to look at",
+            field="scene",
+            cure="is it the right file, and whole?",
+        )
     weights = gaussians.opacities.astype(np.float64)
     if not weights.any():
         weights = np.ones(len(gaussians))

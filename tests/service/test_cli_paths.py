@@ -75,6 +75,26 @@ def test_files_are_looked_at_by_the_commands_and_not_as_usage(
     assert_refusal(capfd, "error: ")
 
 
+@pytest.mark.parametrize(
+    ("number", "cure"),
+    [
+        (errno.ENAMETOOLONG, "give it a shorter name"),
+        (errno.EISDIR, "a folder has that name: move it away, or write elsewhere"),
+        (errno.ENOSPC, "is there room, and permission to read and write there?"),
+    ],
+)
+def test_a_cure_is_for_what_the_system_refuses(
+    number: int, cure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def refused(path: Path) -> bytes:
+        raise OSError(number, os.strerror(number), str(path))
+
+    (tmp_path / "in.ply").touch()
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    assert run("convert", tmp_path / "in.ply", tmp_path / "out.ply", "--json") == 1
+    assert assert_refusal(capfd, f"{os.strerror(number)} ({cure})")["cure"] == cure
+
+
 def test_a_file_that_may_not_be_read_is_refused_as_the_system_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_runs import assert_refusal, run
 from clouds import cloud
+from http_requests import camera_object
 from PIL import Image
 
 from gapmes.service.formats.registry import FORMATS
@@ -58,4 +60,12 @@ def test_a_file_without_gaussians_is_refused(tmp_path: Path, capfd: pytest.Captu
     empty = cloud(4, 3)[np.zeros(4, bool)]
     (tmp_path / "empty.ply").write_bytes(FORMATS["ply"].write(empty).data)
     assert run("render", tmp_path / "empty.ply", "-o", tmp_path / "out", "--json") == 1
-    assert_refusal(capfd, "there is none, and a camera needs something to look at")
+    assert_refusal(
+        capfd, "scene: 0 Gaussians, need at least 1 for a camera to look at (is it the right file, and whole?)"
+    )
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps(camera_object(1)))
+    assert run("render", tmp_path / "empty.ply", "--cameras", cameras, "-o", tmp_path / "out") == 0
+    assert (
+        "none of 0 Gaussians is drawn (view 0: there are none; is it the right file, and whole?)" in capfd.readouterr().err
+    )

@@ -1,6 +1,8 @@
 // Requests to the service, with the API key if there is one; problem documents become errors.
 
 const KEY = "gapmes-key";
+const PATIENCE_MS = 10_000;
+const AGAIN = "try again in a moment";
 
 /** An error with a problem document, of the service or of the page itself. */
 export class Refused extends Error {
@@ -62,13 +64,33 @@ export function keyed(headers) {
   return key ? { ...headers, "X-API-Key": key } : headers;
 }
 
+/** The problem of a status without words of the service: a proxy before it has answered. */
+function wordless(status) {
+  const cure = { 413: "send smaller photographs, or fewer: a proxy before the service limits them", 502: AGAIN, 503: AGAIN, 504: AGAIN }[status];
+  return { title: "Error", detail: `the service answered ${status}`, cure };
+}
+
+/** A response, with the page told (`awaited`) while one that changes nothing takes long. */
+async function answered(path, sent) {
+  if (sent.method !== "GET") return fetch(path, sent); // photographs may be on their way for minutes
+  const told = (more) => document.dispatchEvent(new CustomEvent("awaited", { detail: more }));
+  let late = false;
+  const timer = setTimeout(() => { late = true; told(1); }, PATIENCE_MS);
+  try {
+    return await fetch(path, sent);
+  } finally {
+    clearTimeout(timer);
+    if (late) told(-1);
+  }
+}
+
 /** A successful response. Throws `Refused` for any other. */
 export async function ask(path, { method = "GET", headers = {}, body, signal } = {}) {
   const key = sessionStorage.getItem(KEY);
   const sent = { method, body, signal, headers: keyed(headers) };
   let response;
   try {
-    response = await fetch(path, sent);
+    response = await answered(path, sent);
   } catch (error) {
     if (!(error instanceof TypeError)) throw error;
     throw new Refused(await silence(body));
@@ -78,7 +100,7 @@ export async function ask(path, { method = "GET", headers = {}, body, signal } =
   if (response.status === 401 && sessionStorage.getItem(KEY) !== key) { // another one came meanwhile
     return ask(path, { method, headers, body, signal });
   }
-  if (typeof problem?.title !== "string") problem = { title: "Error", detail: `the service answered ${response.status}` }; // not its own words
+  if (typeof problem?.title !== "string") problem = wordless(response.status);
   if (response.status === 401) document.dispatchEvent(new CustomEvent("key-needed", { detail: { refused: key !== null } }));
   throw new Refused(problem, response.status);
 }

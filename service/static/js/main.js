@@ -40,8 +40,10 @@ async function open(id, { address = "push" } = {}) {
 }
 
 function show() {
+  const within = ["views", "about"].some((id) => $(id).contains(document.activeElement)); // which is replaced
   showScene(scene);
   showAbout($("about"), scene);
+  if (within) $(scene ? "stage" : "files").focus({ preventScroll: true });
   markChosen(scene?.id ?? null);
   if (scene?.id === offered) offer(null);
 }
@@ -138,8 +140,10 @@ async function standIn(newest) {
 
 /** Everything that needs the API key, if there is one. */
 async function unlocked() {
-  await prepareModels().catch(failed);
-  await begin();
+  let fault = null;
+  await prepareModels().catch((error) => { fault = error; });
+  await begin(); // which clears what is told
+  if (fault) failed(fault);
   checkAgain();
 }
 
@@ -180,6 +184,11 @@ $("to-making").addEventListener("click", (event) => {
   $("files").focus({ preventScroll: true });
 });
 window.addEventListener("popstate", begin);
+let awaited = 0;
+document.addEventListener("awaited", ({ detail }) => {
+  awaited += detail;
+  $("silence").textContent = awaited ? "The service has not answered for 10 seconds; the page goes on waiting." : "";
+});
 
 prepareMaking(made);
 prepareShelf({ open, removed, failed });

@@ -191,8 +191,22 @@ def test_the_report_tells_what_was_held_out(tmp_path: Path, capfd: pytest.Captur
     capfd.readouterr()
     assert run(tmp_path / "four", *asked) == 1
     refused(capfd, "4 views with a photograph; with every second one held out")
+    assert run(tmp_path / "four", *asked, "--json") == 1
+    told = json.loads(capfd.readouterr().out)["error"]
+    assert told["cure"].startswith("take more photographs")
+    assert told["detail"].count("SCENE_DIR") == 0
     with pytest.raises(NoSuchViews, match="take more photographs"):
         scene_views(tmp_path / "four", 3)
+
+
+def test_one_capture_that_is_named_in_two_ways_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """It would count twice in the means."""
+    write_transforms(tmp_path / "seven", arc(7))
+    (camera_file,) = (tmp_path / "seven").glob("*.json")
+    model = write_standin(tmp_path / "wide.onnx", {**METADATA, "config": json.dumps({"sh_degree": 1, "experts": 6})})
+    asked = ("--inputs", 3, "--model", model, "--out", tmp_path / "out")
+    assert run(tmp_path / "seven", camera_file, *asked) == 1
+    refused(capfd, f"{camera_file.name} has the inputs and targets of seven and would count as another scene")
 
 
 def test_names_that_are_no_text_do_not_stop_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -256,3 +256,30 @@ def test_render_draws_every_format(ply: Path, cameras: Path, name: str, capfd: p
     assert pictures[0].max() > 50
     assert np.abs(pictures[0] - pictures[1]).mean() < 0.5
     capfd.readouterr()
+
+
+def test_a_file_without_gaussians_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """A .splat has no header: one that was cut off at its start is nothing else."""
+    (tmp_path / "empty.splat").touch()
+    document = converted(capfd, tmp_path / "empty.splat", tmp_path / "out.ply")
+    assert document["warnings"][0] == f"{tmp_path}/empty.splat holds no Gaussian: is it the right file, and whole?"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("-", "out.ply"), "IN: - does not stand for stdin (name /dev/stdin, with --from for a .splat"),
+        (("scene.ply", "out.ply", "--measure", ""), "measure: is empty, need a camera file, around or off"),
+        (("scene.ply", "out.ply", "--measure", "scene.ply"), "measure: scene.ply is no"),
+    ],
+)
+def test_inputs_that_are_none_are_told(
+    ply: Path,
+    arguments: tuple[str, ...],
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(ply.parent)
+    assert run("convert", *arguments) == 1
+    assert f"error: {words}" in capfd.readouterr().err

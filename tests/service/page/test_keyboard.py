@@ -76,6 +76,23 @@ def test_how_many_are_used_can_be_chosen_by_keys(tab: Tab, tmp_path: Path) -> No
     assert page.input_value("#context") == ""
 
 
+@pytest.mark.parametrize("part", ["#views button", "#about summary", "#downloads a"])
+def test_a_focus_in_what_another_scene_replaces_goes_to_the_picture(tab: Tab, part: str) -> None:
+    """By a step of the history, as where a job ends; elsewhere it stays."""
+    first, second = (stored_cloud(tab.address, seed) for seed in (24, 25))
+    page = tab.open(f"/?scene={first}")
+    page.click(f"#scenes li[data-id='{second}'] button >> nth=0")
+    page.wait_for_selector(f"#scenes li.chosen[data-id='{second}']")
+    page.focus(f"{part} >> nth=0")
+    page.go_back()
+    page.wait_for_selector(f"#scenes li.chosen[data-id='{first}']")
+    assert page.evaluate(FOCUS) == "stage"
+    page.focus("#channel")
+    page.go_forward()
+    page.wait_for_selector(f"#scenes li.chosen[data-id='{second}']")
+    assert page.evaluate(FOCUS) == "channel"
+
+
 def test_deleting_from_the_list_leaves_the_focus_in_it(tab: Tab) -> None:
     """On the entry that has the row then; where none is left, on the chooser."""
     for seed in (22, 23):
