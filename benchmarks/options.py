@@ -1,14 +1,26 @@
-"""Types for argparse that the benchmarks share, without torch: what is out of bounds is wrong usage, told at once."""
+"""What the benchmarks' command lines share, without torch: what is out of bounds is wrong usage, told at once, and a
+refusal is a line."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from gapmes.service.cameras.view_checks import MAX_VIEWS, MIN_VIEWS
+from gapmes.service.errors import GapmesError
 from gapmes.service.mending.fade_passes import MAX_PASSES
+
+
+@contextmanager
+def refusals_told() -> Iterator[None]:
+    """End the process with a line on stderr and exit code 1 where the project or the system refuses something."""
+    try:
+        yield
+    except (GapmesError, OSError) as error:
+        raise SystemExit(f"error: {error}") from error
 
 
 def _between(least: int, most: float = math.inf) -> Callable[[str], int]:

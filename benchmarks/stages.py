@@ -25,7 +25,7 @@ from gapmes.service.progress import Stage
 from gapmes.service.reconstruct import Reconstructor
 from gapmes.service.shipped import sample_folder
 
-from .options import at_least_one, there
+from .options import at_least_one, refusals_told, there
 
 
 class Clock:
@@ -59,6 +59,7 @@ def one_run(service: Reconstructor, capture: Path, views: str, passes: int) -> d
     return {**clock.seconds, "write .ply": end - before, "all": end - start}
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("capture", nargs="?", type=there, default=sample_folder())

@@ -219,3 +219,15 @@ def test_operations_that_nothing_counted_are_not_told(benchmark, counted: bool) 
     *lines, last = benchmark("network.run").table(timed)
     assert ("; the network has 3.0 GFLOP" in last) == counted
     assert all((" 100% " in line) == counted for line in lines)
+
+
+@pytest.mark.parametrize("name", ["stages", "scene.formats", "scene.leaving_out", "scene.detail", "splat.run"])
+def test_what_is_refused_is_a_line(benchmark, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before anything is measured."""
+    (tmp_path / "empty.ply").touch()
+    option = ["--ply"] if name == "splat.run" else []
+    monkeypatch.setattr("sys.argv", [name, *option, str(tmp_path / "empty.ply")])
+    module = benchmark(name)
+    monkeypatch.setattr(module, "warm_up", None, raising=False)
+    with pytest.raises(SystemExit, match=r"^error: "):
+        module.main()

@@ -30,7 +30,7 @@ from gapmes.service.network.backends.onnxruntime_session import session_options
 from gapmes.service.network.contract import INPUTS
 from gapmes.service.network.model_file import model_file
 
-from ..options import at_least_one, there, view_count
+from ..options import at_least_one, refusals_told, there, view_count
 from .worker import matrix_product
 
 KERNEL = "_kernel_time"
@@ -152,6 +152,7 @@ def table(runs: list[list[Kernel]], groups: dict[str, str], peak: float) -> list
     ]
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.profile", description=__doc__.splitlines()[0])
     parser.add_argument("models", nargs="+", type=there, metavar="MODEL.onnx")

@@ -25,7 +25,7 @@ from gapmes.export.variant import Variant, load_variant
 from gapmes.model.architectures import config_from_json
 from gapmes.service.network.contract import INPUTS
 
-from ..options import model_files, view_count
+from ..options import model_files, refusals_told, view_count
 
 Outputs = dict[str, NDArray[np.generic]]
 
@@ -44,6 +44,7 @@ def session_outputs(session: onnxruntime.InferenceSession, names: Mapping[str, o
     return dict(zip(names, session.run(list(names), feed), strict=True))
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.rounding", description=__doc__.splitlines()[0])
     parser.add_argument("model", type=model_files(), metavar="MODEL.onnx=CHECKPOINT")

@@ -22,7 +22,7 @@ from typing import IO
 
 from gapmes.service.process.terminal import ProgressBars
 
-from ..options import at_least_one, model_files, view_count
+from ..options import at_least_one, model_files, refusals_told, view_count
 from .intel import told_intel
 from .worker import RUNTIMES
 
@@ -131,6 +131,7 @@ def table(timed: Sequence[Timed]) -> list[str]:
     return lines
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.run", description=__doc__.splitlines()[0])
     kind = model_files(least=1, most=3)

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..options import refusals_told
+
 RUNTIMES = ("onnxruntime", "openvino-fp32", "openvino-bf16", "torch", "torch-compile")
 PEAK_SHAPE = (650, 768, 3072)  # rows, inner, columns: a layer of ViT-B on two views
 REPEATS_PEAK = 20
@@ -92,6 +94,7 @@ def matrix_product() -> tuple[Callable[[], object], float]:
     return run, REPEATS_PEAK * 2.0 * rows * inner * columns
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.network.worker", description=__doc__.splitlines()[0])
     parser.add_argument("runtime", choices=[*RUNTIMES, "peak"])

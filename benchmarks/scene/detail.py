@@ -29,7 +29,7 @@ from gapmes.service.mending.fade_passes import DEFAULT_PASSES
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.reconstruct import Reconstructor, Scene
 
-from ..options import none_or_more, passes, there, view_count
+from ..options import none_or_more, passes, refusals_told, there, view_count
 
 Targets = Sequence[FittedView]
 Found = tuple[Case, Targets, Targets]
@@ -119,6 +119,7 @@ def _shown(found: Figures) -> str:
     return " / ".join("-" if value is None else f"{value:.{digits}f}" for value, digits in values)
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", type=there, metavar="SCENE_DIR")

@@ -29,7 +29,7 @@ from gapmes.service.shipped import sample_folder
 from gapmes.service.viewpoints.framing import within
 from gapmes.service.viewpoints.scene_views import SceneViews
 
-from ..options import passes, there
+from ..options import passes, refusals_told, there
 
 SIDE = 256  # px, the longest of a picture
 
@@ -74,6 +74,7 @@ def table(title: str, found: dict[str, Cost]) -> str:
     return "".join(lines)
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", type=there, default=[sample_folder()], metavar="SCENE_DIR")

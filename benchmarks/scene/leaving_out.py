@@ -27,7 +27,7 @@ from gapmes.service.pictures.picture_error import psnr
 from gapmes.service.reconstruct import Reconstructor, Scene
 from gapmes.service.viewpoints.framing import frame
 
-from ..options import at_least_one, passes, there
+from ..options import at_least_one, passes, refusals_told, there
 
 SIDE = 256  # px of inputs and targets
 PICTURE = 512  # px of the picture that is timed
@@ -81,6 +81,7 @@ def row(service: Reconstructor, folder: Path, inputs: int, fade: int, rounds: in
     return f"| {' | '.join(cells)} |\n"
 
 
+@refusals_told()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="+", type=there, metavar="SCENE_DIR")

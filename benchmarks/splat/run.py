@@ -20,12 +20,13 @@ from gapmes.service.gaussians import Gaussians
 from gapmes.service.kernels import warm_up
 from gapmes.service.process.threads import available_threads
 
-from ..options import at_least_one
+from ..options import at_least_one, refusals_told
 from .measure import Other, Row, measure
 from .peak import peak_gflops
 from .scenes import camera, surface_scene
 from .starts import first_and_later
 
+SIZES = (256, 1024)  # px, of pictures of given scenes
 FLOORS = {(131_072, 256): 7.0, (131_072, 1024): 18.0, (500_000, 1024): 12.0}  # splats, px: times the plain renderer
 CASES = (  # splats, SH degree, px; and what the ratio to the plain renderer must reach
     *(
@@ -82,6 +83,7 @@ def verdicts(rows: list[tuple[Row, float | None]]) -> list[str]:
     return lines
 
 
+@refusals_told()
 def main() -> None:
     """Print the table; see --help."""
     parser = argparse.ArgumentParser(prog="make bench-splat", description=__doc__)
@@ -101,20 +103,22 @@ def main() -> None:
     for path in (*options.ply, *options.cameras, *options.other):
         if not path.is_file():
             parser.error(f"{path} is no file")
+    cameras = [*options.cameras, *[None] * len(options.ply)]
+    for path, file in zip(options.ply, cameras, strict=False):
+        trained_scene(path, file, SIZES[0])  # what is refused is refused before minutes of measurements
     start = time.perf_counter()
     warm_up()
     ready, peak = time.perf_counter() - start, peak_gflops(options.threads)
     print(f"{platform.processor() or platform.machine()}, {options.threads} threads, numba {numba.__version__}; "
           f"kernels ready after {ready:.2f} s; peak {peak:.0f} GFLOP/s")  # fmt: skip
     others = [other_renderer(path) for path in options.other]
-    cameras = [*options.cameras, *[None] * len(options.ply)]
     todo: list[tuple[str, Callable[[], tuple[Gaussians, Camera]], float | None]] = [
         (f"{count:,} SH {degree}", lambda c=count, d=degree, s=size: (surface_scene(c, d), camera(s)), floor)
         for count, degree, size, floor in CASES
         if count == 131_072 or not options.quick
     ]
     for path, file in zip(options.ply, cameras, strict=False):
-        for size in (256, 1024):
+        for size in SIZES:
             todo.append((path.stem, lambda p=path, f=file, s=size: trained_scene(p, f, s), None))
     rows = []
     for name, make, floor in todo:

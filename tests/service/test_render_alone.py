@@ -66,6 +66,5 @@ def test_a_file_without_gaussians_is_refused(tmp_path: Path, capfd: pytest.Captu
     cameras = tmp_path / "cameras.json"
     cameras.write_text(json.dumps(camera_object(1)))
     assert run("render", tmp_path / "empty.ply", "--cameras", cameras, "-o", tmp_path / "out") == 0
-    assert (
-        "none of 0 Gaussians is drawn (view 0: there are none; is it the right file, and whole?)" in capfd.readouterr().err
-    )
+    told = "none of 0 Gaussians is drawn (view 0: there are none; is it the right file, and whole?)"
+    assert told in capfd.readouterr().err
