@@ -48,7 +48,7 @@ class Timed:
         if not line:
             code = self.process.wait()
             self.errors.seek(0)
-            raise RuntimeError(f"{self.name} ended with {code}: {self.errors.read().strip()[-1500:]}")
+            raise SystemExit(f"error: {self.name} ended with {code}: {self.errors.read().strip()[-1500:]}")
         self.rows.append(json.loads(line))
 
     def median(self, what: str = "cpu") -> float:

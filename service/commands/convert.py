@@ -96,7 +96,7 @@ def convert(
     if blind := [str(place) for place, value in enumerate(values) if value is None]:
         which = f"{', '.join(blind[:10])}{', …' if len(blind) > 10 else ''} of {len(values)}, counted from 0"
         unmeasured.append(f"nothing was compared where cameras see nothing of the Gaussians: {which}")
-    empty = [] if len(gaussians) else [f"{source} holds no Gaussian: is it the right file, and whole?"]
+    empty = [] if reading.rows else [f"{source} holds no Gaussian: is it the right file, and whole?"]
     warnings = [*empty, *passed_over, *reading.notes(), *encoded.notes, *unmeasured]
     bars.say(
         f"{len(gaussians)} Gaussians in {output}: {len(encoded.data):,} bytes, "

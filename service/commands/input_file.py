@@ -13,8 +13,8 @@ def check_input_file(path: Path, field: str, format: str | None) -> None:
     """Raises `InputError` unless the path is a file or a pipe and `format`, that of --from, one of Gaussians."""
     if format is not None:
         format_named(format, field="from")
-    if str(path) == "-":
-        cure = "name /dev/stdin, with --from for a .splat; a file of that name is ./-"
+    if str(path) == "-" and not path.exists():
+        cure = "name /dev/stdin, with --from for a .splat"
         raise InputError("- does not stand for stdin", field=field, cure=cure)
     if not (path.is_file() or path.is_fifo()):
         raise InputError(f"{path} is not a file", field=field, cure="give a .ply, .compressed.ply, .splat or .spz")

@@ -201,7 +201,8 @@ def check_sheet(output: Path, channel: Channel, shots: Sequence[Camera]) -> None
         raise InputError(f"a sheet shows rgb, not {channel}", field="channel", cure="leave it out")
     if output.suffix.lower() not in SHEET_FORMATS:
         message = f"is one file, and {output.name!r} does not end in one of {', '.join(SHEET_FORMATS)}"
-        raise InputError(message, field="sheet", cure=f"name a file, such as {output.stem}.png")
+        example = output.with_suffix(".png") if output.name else "sheet.png"
+        raise InputError(message, field="sheet", cure=f"name a file, such as {example}")
     cells = [within(camera, CELL) for camera in shots]
     size = sheet_size(in_rows([(cell.width, cell.height) for cell in cells]))
     format = SHEET_FORMATS[output.suffix.lower()]
