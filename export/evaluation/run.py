@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,6 +22,7 @@ from .measure import Measured, measure
 from .models import Model, check_sizes, load_models
 from .report import Report
 from .routing import routing_statistics
+from .scene_views import scene_views
 from .scores import Group
 from .sheets import scene_sheet
 from .suggested import NoSuchViews
@@ -134,22 +134,20 @@ def _group(
 
 def _looked_at(plan: GroupPlan) -> GroupPlan:
     """The plan with the captures that can be evaluated. Raises `InputError` for one that is none, has an unusable
-    photograph, or has the photographs of another, and where none is left."""
+    photograph, or is named a second time, and where none is left."""
     folders: dict[str, Path] = {}
     refused: dict[str, NoSuchViews] = {}
-    known: dict[bytes, str] = {}
+    known: dict[Path, str] = {}
     for name, folder in plan.folders.items():
         try:
-            case = photograph_case(folder, plan.inputs, *plan.size)
+            camera_file = scene_views(folder, plan.inputs).camera_file
+            photograph_case(folder, plan.inputs, *plan.size)
         except NoSuchViews as refusal:
             refused[name] = refusal
             continue
-        pictures = hashlib.sha256(b"".join(view.image.tobytes() for view in (*case.inputs, *case.targets))).digest()
-        if (same := known.setdefault(pictures, name)) != name:
-            message = f"{name} has the inputs and targets of {same} and would count as another scene in the means"
-            raise InputError(
-                message, field="SCENE_DIR", cure="name each capture once, by its folder or its camera file"
-            )
+        if (same := known.setdefault(camera_file, name)) != name:
+            message = f"{name} and {same} are one capture, and would count so in the means: cameras of {camera_file}"
+            raise InputError(message, field="SCENE_DIR", cure="name it once, by its folder or its camera file")
         folders[name] = folder
     if refused and not folders:
         reasons = "; ".join(f"{name}: {refusal.message}" for name, refusal in refused.items())

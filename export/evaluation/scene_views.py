@@ -46,6 +46,16 @@ class SceneViews:
     def said(self) -> Photographs:
         return Photographs(self.by, self.inputs.paths, self.targets.paths)
 
+    @property
+    def root(self) -> Path:
+        """Where the paths in the capture begin: a folder, or a zip."""
+        return self.capture.files.root if isinstance(self.capture.files, FolderFiles) else self.path
+
+    @property
+    def camera_file(self) -> Path:
+        """The file that its cameras are read from, however the capture was named."""
+        return (self.root / self.capture.table.source).resolve()
+
     def spare(self) -> list[int]:
         """Indices of the views with a photograph and a usable camera that are neither inputs nor targets."""
         used = {*self.inputs.indices, *self.targets.indices}
@@ -56,8 +66,7 @@ class SceneViews:
         """A photograph of `views` of this capture at its own size, without lens distortion, with its camera. Raises
         `ImageError` where it cannot be decoded or has transparent pixels, naming the file."""
         index, view = views.indices[place], views.file.views[place]
-        root = self.capture.files.root if isinstance(self.capture.files, FolderFiles) else self.path
-        file = root / views.paths[place]
+        file = self.root / views.paths[place]
         try:
             photo = decode_image(views.read(place), index=index)
         except (ImageError, CaptureError) as error:  # of one scene of several

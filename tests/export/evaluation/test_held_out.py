@@ -206,7 +206,8 @@ def test_one_capture_that_is_named_in_two_ways_is_refused(tmp_path: Path, capfd:
     model = write_standin(tmp_path / "wide.onnx", {**METADATA, "config": json.dumps({"sh_degree": 1, "experts": 6})})
     asked = ("--inputs", 3, "--model", model, "--out", tmp_path / "out")
     assert run(tmp_path / "seven", camera_file, *asked) == 1
-    refused(capfd, f"{camera_file.name} has the inputs and targets of seven and would count as another scene")
+    told = f"SCENE_DIR: {camera_file.name} and seven are one capture, and would count so in the means: cameras of "
+    refused(capfd, f"{told}{camera_file} (name it once")
 
 
 def test_names_that_are_no_text_do_not_stop_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
