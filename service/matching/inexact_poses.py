@@ -15,6 +15,8 @@ from .pair_matches import PairMatches
 # leaves less than half of it, and from which they are doubted anyway. Right pairs have up to 0.44 px (109 of six
 # captures) and 0.58 (116 that were generated), of which neither takes half.
 LEAST_PX, LEFT, MOST_PX = 0.5, 0.5, 1.2
+# A change beyond these is no refinement: of a camera's orientation, focal length, and position in longest baselines.
+MOST_TURN, MOST_ZOOM, MOST_SHIFT = np.radians(3.0), np.log(1.1), 0.2
 SIDE = 256  # px of the shorter side up to which that is so; from there on they grow with it
 
 
@@ -71,7 +73,14 @@ def inexact_poses(
         ]
         message += f"; the same of views {', '.join(others)}"
     cure = "are poses and intrinsics exact, and those of these very photographs? refine them, for example with COLMAP"
-    cure += ", as refine_poses could not altogether" if tried else ", or set refine_poses"
+    if tried:
+        cure += (
+            f", as refine_poses could not altogether: it corrects up to {np.degrees(MOST_TURN):.0f} degrees, "
+            f"{np.expm1(MOST_ZOOM):.0%} of a focal length and {MOST_SHIFT:g} of the longest baseline, where less than "
+            f"{LEFT:.0%} of the error is left"
+        )
+    else:
+        cure += ", or set refine_poses"
     return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
 
 

@@ -14,14 +14,12 @@ from ..cameras.rotations import about_axis, rotation_angle
 from ..cameras.spanning_tree import first_joined
 from ..cameras.view_checks import Notice
 from .epipolar import CHANGES, SHIFT, TURN, UNSEEN_PX, ZOOM, best_change, epipolar_distances, longest_baseline
-from .inexact_poses import LEFT, EpipolarResidual
+from .inexact_poses import LEFT, MOST_SHIFT, MOST_TURN, MOST_ZOOM, EpipolarResidual
 from .pair_matches import PairMatches
 
 F64 = NDArray[np.float64]
 
 ROUNDS = 3  # of matching and least squares
-# A change beyond these is no refinement: of a camera's orientation, focal length, and position in longest baselines.
-MOST_TURN, MOST_ZOOM, MOST_SHIFT = np.radians(3.0), np.log(1.1), 0.2
 
 
 def refined_cameras(

@@ -102,6 +102,14 @@ def test_it_is_told_with_the_views_and_the_turn() -> None:
     assert "what views 4 and 7 have in common stands " in notice["message"]
     assert notice["px"] > 0.5
     assert "turned by 0." in notice["message"]
+    assert notice["message"].endswith("for example with COLMAP, or set refine_poses)")
+
+
+def test_where_refining_was_tried_its_limits_are_told() -> None:
+    pairs = turned(sample(), 1, (1, 0, 0), 0.5)
+    (notice,) = inexact_poses(pairs, doubted(pairs), (4, 7), tried=True)
+    assert "as refine_poses could not altogether: it corrects up to 3 degrees, 10% of a focal" in notice["message"]
+    assert "0.2 of the longest baseline, where less than 50% of the error is left" in notice["message"]
 
 
 def test_of_three_views_the_worst_pair_is_named_first() -> None:
