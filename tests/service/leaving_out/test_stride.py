@@ -7,6 +7,7 @@ from plane_scene import PlaneScene
 from standin_model import EXTRA, HEIGHT, WIDTH
 
 from gapmes.service.errors import InputError
+from gapmes.service.formats.ply_write import ply_size
 from gapmes.service.leaving_out.budget import Budget
 from gapmes.service.leaving_out.certified import certified_views
 from gapmes.service.leaving_out.left_out import leave_out
@@ -128,10 +129,14 @@ def test_faint_gaussians_go_and_the_change_is_bounded(min_opacity):
     assert report["certified"] == {"inputs": 2, "between": 2, "asked": 0}
     assert (lean.opacities >= min_opacity).all()
     assert 0 < report["actual"] <= report["faint_bound"] == report["bound"]
+    assert report["bytes_saved"] == ply_size(gaussians) - ply_size(lean) > 0
     for camera, picture in zip(cameras, pictures, strict=True):
         before, after = render(gaussians, camera), render(lean, camera)
         assert after.rgb.tobytes() == picture.rgb.tobytes()
         assert np.abs(before.rgb - after.rgb).max() <= report["faint_bound"]
+    asked = Budget(None, asked=("orbit:20",), min_opacity=min_opacity)
+    certified = leave_out(gaussians, np.ones(300, bool), scene, asked, 1)[2]["certified"]
+    assert certified == {"inputs": 2, "between": 1, "asked": 1}
     assert leave_out(gaussians, np.ones(300, bool), scene, Budget(None), 1)[2]["faint"] == 0
     assert leave_out(gaussians, np.zeros(300, bool), scene, Budget(None, min_opacity=1.0), 1)[2]["faint"] == 0
     both = leave_out(gaussians, np.ones(300, bool), scene, Budget(0.2, min_opacity=min_opacity), 1)
