@@ -34,7 +34,7 @@ def test_rows_that_are_too_short_take_no_memory_for_all():
     head = "ply\nformat ascii 1.0\nelement vertex 200000\n" + "".join(f"property float {name}\n" for name in names)
     file = f"{head}end_header\n{'0 ' * len(names)}\n".encode() + b"0\n" * 199_999
     tracemalloc.start()
-    with pytest.raises(PlyError, match=r"row 0 has 1 numbers, need 10\d\d") as refusal:
+    with pytest.raises(PlyError, match=r"row 1 has 1 numbers, need 10\d\d") as refusal:
         read_ply(file)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
