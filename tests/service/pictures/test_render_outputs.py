@@ -187,7 +187,7 @@ MANY = ",".join(f"orbit:{number}" for number in range(307))
         ("film.webp", ("--size", "16384x10"), "width: 16384 px, the limit of webp is 16383"),
         ("no/folder/film.webp", (), "is not a folder"),
         ("sheet.gif", ("--sheet",), "sheet: is one file, and 'sheet.gif' does not end in one of .png, .jpg"),
-        ("sheet", ("--sheet",), "such as sheet.png"),
+        ("sheet", ("--sheet",), "/sheet.png)"),
         ("sheet.webp", ("--sheet", "--fps", 20), "fps: goes with a film, and 'sheet.webp' is a sheet"),
         ("sheet.png", ("--sheet", "--channel", "alpha"), "channel: a sheet shows rgb, not alpha (leave it out)"),
         (
