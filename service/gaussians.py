@@ -118,8 +118,8 @@ def without_zero_bands(gaussians: Gaussians) -> Gaussians:
 def normalized_quaternions(wxyz: F32 | F64) -> F32:
     """(N, 4) unit quaternions; dividing by the largest component first is right from 1e-44 to 1e38. Zero: identity.
 
-    Rows that are as near to unit length as float32 holds it stay as they are, so that a file that is read and written
-    again is the same to the bit.
+    Rows that are as near to unit length as float32 holds it stay as they are, so that rotations of a file that is read
+    and written again are the same to the bit.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         own = wxyz.astype(np.float32)
