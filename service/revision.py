@@ -1,6 +1,6 @@
 """The revisions of the algorithm between the network's inputs and the stored scene, and of what is made of that."""
 
-ALGORITHM_REVISION = 31
+ALGORITHM_REVISION = 32
 """Part of every scene's id. Raise it by one with every change that gives other Gaussians or another scene document for
 the same photographs, cameras, options and model file: decoding, fitting, depth estimates, checks that refuse or warn,
 weights of the choice among depths, what is left out or fades, the way back to the world, the .ply. Stored scenes stay;

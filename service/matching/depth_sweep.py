@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from ..cameras.camera import pixel_grid
 from ..cameras.depth_range import DepthRange
-from ..cameras.view_checks import DEPTH_PLANES, Notice
+from ..cameras.view_checks import DEPTH_PLANES, MIN_VIEWS, Notice
 from ..photographs.images import FittedView
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
+from .plain_views import plain_views
 from .plane_sweep import best_planes, plane_depths, step_px, swept_px
 from .window_match import contrast
 
@@ -53,7 +54,11 @@ def narrowed(depths: DepthRange, views: Sequence[FittedView], planes: int = DEPT
     apart = planes_apart_px(depths, views, planes)
     if depths.source == "given" and apart <= COARSE_PX:
         return depths
-    found, weights, share = depths_of_matches([coarse_view(view) for view in views], depths)
+    coarse = [coarse_view(view) for view in views]
+    plain = plain_views(coarse)
+    if plain.any() and (~plain).sum() >= MIN_VIEWS:  # else the neighbours of a plain view match nothing
+        coarse = [view for view, left_out in zip(coarse, plain, strict=True) if not left_out]
+    found, weights, share = depths_of_matches(coarse, depths)
     if share < MIN_MATCHED:
         return depths
     first, last = outer_percentiles(found, weights)

@@ -29,6 +29,7 @@ from ..photographs.upright import ON_ITS_SIDE, SAME_SIZE, upright
 from .coarse_views import CoarseView, coarse_view, nearest_neighbours
 from .duplicates import duplicates
 from .given_range import estimated_instead, range_doubtful
+from .plain_views import plain_notices, plain_views
 from .plane_sweep import STEP_PX, best_planes, plane_depths, step_px
 from .window_match import match_score
 
@@ -66,14 +67,24 @@ def check_photos(
     different poses are identical. Masked pixels are not compared. `numbers` are what the caller calls the views.
     """
     numbers = range(len(views)) if numbers is None else numbers
-    return duplicates(views, depths, numbers, trust_poses) + _matching(views, depths, numbers, trust_poses)
+    coarse = [coarse_view(view) for view in views]
+    notices = duplicates(views, depths, numbers, trust_poses) + plain_notices(coarse, numbers)
+    # As somebody's nearest neighbour a plain view would refute right poses.
+    places = [place for place, plain in enumerate(plain_views(coarse)) if not plain]
+    if len(places) < MIN_VIEWS:
+        return notices
+    shown, their_numbers = [views[place] for place in places], [numbers[place] for place in places]
+    return notices + _matching(shown, [coarse[place] for place in places], depths, their_numbers, trust_poses)
 
 
 def _matching(
-    views: Sequence[FittedView], depths: DepthRange, numbers: Sequence[int], trust_poses: bool
+    views: Sequence[FittedView],
+    coarse: Sequence[CoarseView],
+    depths: DepthRange,
+    numbers: Sequence[int],
+    trust_poses: bool,
 ) -> list[Notice]:
-    """The warnings of `check_photos` about anything but duplicates."""
-    coarse = [coarse_view(view) for view in views]
+    """The warnings of `check_photos` about anything but duplicates and plain views."""
     cameras = [view.camera for view in coarse]
     step = step_px(cameras, depths)  # for other readings as well: none wins by finer ones
     swept = plane_depths(cameras, depths, PLANES, step)

@@ -270,9 +270,3 @@ def test_a_photograph_of_another_scene_among_three_is_named(plane_scene):
     assert notice["score"] < 0.68
     assert "view 7 hardly matches any of the others" in notice["message"]
     assert "are its pose and that of view 4, the nearest, right?" in notice["message"]
-
-
-def test_a_plain_photograph_among_three_is_no_odd_one(plane_scene):
-    """There is nothing in it to match, and the others match each other."""
-    images = (*plane_scene.images[:2], np.full_like(plane_scene.images[2], 90))
-    assert check_photos(fitted(replace(plane_scene, images=images)), DEPTHS) == []
