@@ -50,7 +50,7 @@ class Peers:
         self._folder.mkdir(mode=0o700, exist_ok=True)
         own, complete = self._folder / f"loaded_{os.getpid()}", self._folder / COMPLETE
         if self._loaded and not own.exists():
-            own.touch()
+            own.write_text(_started(os.getpid()))
         if not complete.exists() and (self._complete or len(self.living()) >= self.count):
             complete.touch()
 
@@ -58,8 +58,13 @@ class Peers:
         """Process ids of loaded processes that are alive."""
         if self._folder is None:
             return []
-        told = (int(file.name.rpartition("_")[2]) for file in self._folder.glob("loaded_*"))
-        return sorted(pid for pid in told if is_alive(pid))
+        found = []
+        for file in self._folder.glob("loaded_*"):
+            pid = int(file.name.rpartition("_")[2])
+            with suppress(FileNotFoundError):  # deleted meanwhile
+                if is_alive(pid) and file.read_text() in ("", _started(pid)):  # "" before it is written, or no /proc
+                    found.append(pid)
+        return sorted(found)
 
 
 def is_alive(pid: int) -> bool:
@@ -68,6 +73,18 @@ def is_alive(pid: int) -> bool:
         os.kill(pid, 0)
     except OSError:
         return False
-    with suppress(OSError):  # no /proc
-        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] != b"Z"
-    return True
+    fields = _stat(pid)
+    return not fields or fields[0] != "Z"
+
+
+def _started(pid: int) -> str:
+    """When a process started, in the system's ticks, which tells it from a later one with its id; "" without /proc."""
+    fields = _stat(pid)
+    return fields[19] if fields else ""
+
+
+def _stat(pid: int) -> list[str]:
+    """What /proc says of a process from its state on (proc(5), the fields from 3 on); nothing without /proc."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].decode().split()
+    return []

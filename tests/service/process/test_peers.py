@@ -98,3 +98,13 @@ def test_one_that_died_does_not_count(tmp_path: Path, gone: int) -> None:
     peers.loaded()
     assert not peers.complete
     assert peers.living() == [os.getpid()]
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc, by which two processes of one id differ")
+def test_a_later_process_with_the_id_of_one_that_was_loaded_does_not_count(tmp_path: Path, living: int) -> None:
+    peers = Peers(2, tmp_path)
+    peers.loaded()
+    (own,) = tmp_path.glob("loaded_*")
+    (tmp_path / f"loaded_{living}").write_text(str(int(own.read_text()) - 1))
+    assert peers.living() == [os.getpid()]
+    assert not Peers(2, tmp_path).complete
