@@ -6,9 +6,7 @@ import os
 
 from .errors import InputError
 
-_WORDS = dict.fromkeys(("1", "true", "t", "yes", "y", "on"), True) | dict.fromkeys(
-    ("0", "false", "f", "no", "n", "off"), False
-)
+_WORDS = dict.fromkeys(("1", "true", "yes", "on"), True) | dict.fromkeys(("0", "false", "no", "off"), False)
 NEED = "1, true, yes or on, or 0, false, no or off"
 
 

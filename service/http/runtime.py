@@ -92,7 +92,7 @@ class Runtime:
         ]
         try:
             with self._told_to_stop():
-                while not (self._models or self.stopping or self.peers.wanted):
+                while not (self._models or self.stopping or self.peers.may_listen_unloaded):
                     await asyncio.sleep(GLANCE_S)
                 self._listening = True
                 yield
@@ -193,7 +193,7 @@ class Runtime:
                 warm_up_with_notice()
         self.jobs.open(models)
         self._models = models
-        self.peers.loaded()
+        self.peers.announce_loaded()
         self.stage = "ready"
 
     @contextmanager

@@ -42,7 +42,7 @@ class Described(NamedTuple):
     """A surface, the residual of its fit, and how far away its support lies."""
 
     surface: Surface
-    residual: F64  # (H, W) standard deviation of the confirmed inverse depths from the plane
+    residual: F64  # (H, W) root of the variance of the confirmed inverse depths that the plane does not explain
     away: F64  # (H, W) distance from the pixel to the centroid of the confirmed pixels, in reaches
 
 
@@ -72,8 +72,12 @@ def surface(picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: floa
 def described_surface(
     picture: NDArray[np.floating], inverse: F64, sure: Mask, reach: float, *, edges: bool = True
 ) -> Described:
-    """As `surface`, with the quality of the fit; without `edges` the picture does not matter. `residual` is in the unit
-    of `inverse`."""
+    """As `surface`, with the quality of the fit; without `edges` the picture does not matter.
+
+    `residual`, in the unit of `inverse`, is sqrt(S - b . c) of the variance S, the covariances c with x and y and the
+    slopes b: the standard deviation from a plane without a ridge, and more where the ridge flattens the plane, since
+    it is counted too. The choice among depths was trained on this number.
+    """
     found, moments = _fitted(picture, inverse, sure, reach, edges)
     squares = _weighted_sums(inverse * inverse * sure, *moments.steps)
     squares /= np.maximum(found.weight, LEAST)

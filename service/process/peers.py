@@ -33,11 +33,11 @@ class Peers:
         return self._complete
 
     @property
-    def wanted(self) -> bool:
+    def may_listen_unloaded(self) -> bool:
         """Whether a process should listen before it is loaded: not all were loaded yet, or none is now."""
         return not self.complete or not self.living()
 
-    def loaded(self) -> None:
+    def announce_loaded(self) -> None:
         """Announce that this process is loaded."""
         self._loaded = True
         self.keep()

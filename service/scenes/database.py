@@ -21,11 +21,11 @@ PROBE_S = 2.0  # the same for `writable`, which a health check waits for
 VERSION = 2
 _log = logging.getLogger("gapmes")
 _ANEW = "move the file away: scenes are listed anew from their folders, its jobs are lost"
+_KIND = 0xFF  # bits of an extended error code that hold the primary one
 _FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE)  # the second for a quota
 
 # A job is active while it is queued or running; a scene has one active job at most. A row of `waits` is a request of a
 # process that waits for a job's answer.
-_KIND = 0xFF  # bits of an extended error code that hold the primary one
 _WAITS = """
 CREATE TABLE IF NOT EXISTS waits (job_id TEXT NOT NULL, process TEXT NOT NULL);
 CREATE INDEX IF NOT EXISTS waits_job ON waits (job_id);

@@ -21,7 +21,8 @@ from .kernel_cache import kernel
 from .parallel import run_ranges
 from .prepare import LOG2_CUT, LOG2_OPACITY, RECORD
 from .tile_state import BLOCKS, corner, live_blocks, start_tile, store_tile
-from .vectors import ENTRY, LOG_OPACITY, SIDE, U1, blend_block
+from .vectors import ENTRY, SHEAR2, SIDE, STEP1, STEP2, U1, U2, blend_block
+from .vectors import LOG2_OPACITY as ENTRY_LOG2_OPACITY
 
 F32 = NDArray[np.float32]
 
@@ -159,12 +160,12 @@ def gather(members, records, narrow, piece, count, end, left, top, entries, fiel
         step1, step2, shear2 = np.float32(inverse1), np.float32(inverse2), np.float32(k * inverse2)
         to = j * ENTRY
         put(entries, to + U1, u1)
-        put(entries, to + 1, step1)
-        put(entries, to + 2, u2)
-        put(entries, to + 3, shear2)
-        put(entries, to + 4, step2)
-        for field in range(6):  # log2 opacity, red, green, blue, depth, cut
-            put(entries, to + LOG_OPACITY + field, get(narrow, 2 * record + LOG2_OPACITY + field))
+        put(entries, to + STEP1, step1)
+        put(entries, to + U2, u2)
+        put(entries, to + SHEAR2, shear2)
+        put(entries, to + STEP2, step2)
+        for field in range(6):  # log2 opacity, red, green, blue, depth, cut: in the same order in both
+            put(entries, to + ENTRY_LOG2_OPACITY + field, get(narrow, 2 * record + LOG2_OPACITY + field))
         put(fields, j, u1)
         put(fields, j + PIECE, step1)
         put(fields, j + 2 * PIECE, u2)

@@ -10,6 +10,8 @@ import numpy as np
 from ..arguments import real_number, shown, whole_number
 from ..errors import InputError
 
+MAX_DILATION = 1e3  # px^2
+
 
 @dataclass(frozen=True)
 class Definition:
@@ -64,7 +66,7 @@ class Definition:
         # Below 1e-30 the polynomial power of two would leave the normal range of float32.
         _require("alpha_min", self.alpha_min, 1e-30, self.alpha_max)
         _require("alpha_max", self.alpha_max, self.alpha_min, 1.0)
-        _require("dilation", self.dilation, 1e-3, 1e3)
+        _require("dilation", self.dilation, 1e-3, MAX_DILATION)
         _require("stop", self.stop, 0.0, 1.0)
         _require("near", self.near, 0.0, self.far)
         _require("far", self.far, self.near, 1e37)

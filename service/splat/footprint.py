@@ -13,6 +13,9 @@ Z, X, Y, INVERSE1, SHEAR, INVERSE2, HALF_WIDTH, HALF_HEIGHT, OTHER_SHEAR = range
 FINITE, DEPTH_EXTENT, FIRST_X, LAST_X, FIRST_Y, LAST_Y = range(9, 15)
 OUTPUTS = 15
 
+# Fields of the lens: intrinsics, bounds of the tangents within `fov_margin`, and what the definition and the size say.
+FX, FY, CX, CY, LOW_X, HIGH_X, LOW_Y, HIGH_Y, DILATION, LOG_ALPHA_MIN, LIMIT, WIDTH, HEIGHT = range(13)
+
 # The exponent is carried as a power of two: 2^-(u1^2 + u2^2) with u scaled by this is exp(-distance^2 / 2).
 HALF_LOG2E = math.sqrt(0.5 / math.log(2.0))
 
@@ -28,19 +31,19 @@ def footprints(geometry, start, view, lens, out):
     that is finite and below 1e150 only if all are; the squared depth extent; first and last column, first and last row
     of the pixels whose centres lie in the box, the first beyond the last if none does.
 
-    view: the rotation camera from world, row-major, and the camera centre; lens: see `project`. Gaussians behind the
-    camera or not finite give meaningless numbers, without a trap; `project_range` culls them.
+    view: the rotation camera from world, row-major, and the camera centre; lens: the fields FX to HEIGHT. Gaussians
+    behind the camera or not finite give meaningless numbers, without a trap; `project_range` culls them.
     """
     w00, w01, w02 = get(view, 0), get(view, 1), get(view, 2)
     w10, w11, w12 = get(view, 3), get(view, 4), get(view, 5)
     w20, w21, w22 = get(view, 6), get(view, 7), get(view, 8)
     centre_x, centre_y, centre_z = get(view, 9), get(view, 10), get(view, 11)
-    fx, fy = get(lens, 0), get(lens, 1)
-    cx, cy = get(lens, 2), get(lens, 3)
-    low_x, high_x = get(lens, 4), get(lens, 5)
-    low_y, high_y = get(lens, 6), get(lens, 7)
-    dilation, log_alpha_min, limit = get(lens, 8), get(lens, 9), get(lens, 10)
-    last_column, last_row = get(lens, 11) - 1.0, get(lens, 12) - 1.0
+    fx, fy = get(lens, FX), get(lens, FY)
+    cx, cy = get(lens, CX), get(lens, CY)
+    low_x, high_x = get(lens, LOW_X), get(lens, HIGH_X)
+    low_y, high_y = get(lens, LOW_Y), get(lens, HIGH_Y)
+    dilation, log_alpha_min, limit = get(lens, DILATION), get(lens, LOG_ALPHA_MIN), get(lens, LIMIT)
+    last_column, last_row = get(lens, WIDTH) - 1.0, get(lens, HEIGHT) - 1.0
     for j in range(BLOCK):
         at = start + j
         # Position relative to the camera centre, still in world axes, then in camera axes.

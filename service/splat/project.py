@@ -28,6 +28,8 @@ from .footprint import (
     HALF_WIDTH,
     LAST_X,
     LAST_Y,
+    LIMIT,
+    LOG_ALPHA_MIN,
     OUTPUTS,
     X,
     Z,
@@ -77,7 +79,7 @@ def project(
     margin_x = definition.fov_margin * 0.5 * camera.width
     margin_y = definition.fov_margin * 0.5 * camera.height
     lens = np.array(
-        [
+        [  # in the order of the fields of `footprint.py`
             camera.fx, camera.fy, camera.cx, camera.cy,
             -(camera.cx + margin_x) / camera.fx, (camera.width - camera.cx + margin_x) / camera.fx,
             -(camera.cy + margin_y) / camera.fy, (camera.height - camera.cy + margin_y) / camera.fy,
@@ -123,7 +125,7 @@ def project_range(
     reasons (7,): counts of drawn and culled Gaussians by code, and of drawn ones that cross the near plane.
     """
     near, far, alpha_min = get(cuts, 0), get(cuts, 1), get(cuts, 2)
-    lowest_cut, limit = get(lens, 9), get(lens, 10)
+    lowest_cut, limit = get(lens, LOG_ALPHA_MIN), get(lens, LIMIT)
     flat, weights, colours = np.empty(OUTPUTS * BLOCK), np.empty(16 * BLOCK), np.empty(3 * BLOCK, np.float32)
     block_harmonics = harmonics.size // geometry.shape[0]
     listed = first * BLOCK

@@ -172,19 +172,8 @@ def draw(
 def new_canvas(
     camera: Camera, outputs: Collection[str], count: int, tiles: int, background: NDArray[np.float32]
 ) -> Canvas:
-    """The planes of `outputs` and those computed along with them, and the states of `tiles` for several batches. Raises
-    `InputError` where memory does not suffice."""
-    try:
-        return _canvas((camera.height, camera.width), outputs, count, tiles, background)
-    except MemoryError as error:
-        message = f"{camera.width} x {camera.height} px do not fit into the memory that is free"
-        cure = "draw it smaller, or in parts, each by a cropped camera"
-        raise InputError(message, field="camera.size", cure=cure) from error
-
-
-def _canvas(
-    shape: tuple[int, int], outputs: Collection[str], count: int, tiles: int, background: NDArray[np.float32]
-) -> Canvas:
+    """The planes of `outputs` and those computed along with them, and the states of `tiles` for several batches."""
+    shape = camera.height, camera.width
     everything = any(name in outputs for name in ANALYSIS)
     channels = ALL_CHANNELS if everything else WITH_DEPTH if "depth" in outputs else COLOURS_ONLY
     more = [np.empty(shape, np.float32) if everything else None for _ in range(2)]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cameras.camera import Camera
+from ..errors import InputError
 from ..gaussians import Gaussians
 from .binning import Grid, TileLists, tile_lists
 from .definition import Definition
@@ -54,8 +55,22 @@ class Sight:
 def sight(
     gaussians: Gaussians, camera: Camera, definition: Definition, degree: int, threads: int | None
 ) -> Iterator[Sight]:
-    """Project and sort `gaussians` for `camera`. Raises `InputError` for a size or number of threads out of range."""
+    """Project and sort `gaussians` for `camera`. Raises `InputError` for a size or number of threads out of range, and
+    where memory does not suffice, here or for what is drawn within the context."""
     threads, grid = checked_threads(threads), checked_size(camera)
+    try:
+        with _projected(gaussians, camera, definition, degree, threads, grid) as seen:
+            yield seen
+    except MemoryError as error:
+        message = f"{camera.width} x {camera.height} px do not fit into the memory that is free"
+        cure = "draw it smaller, or in parts, each by a cropped camera"
+        raise InputError(message, field="camera.size", cure=cure) from error
+
+
+@contextmanager
+def _projected(
+    gaussians: Gaussians, camera: Camera, definition: Definition, degree: int, threads: int, grid: Grid
+) -> Iterator[Sight]:
     clock = [time.perf_counter()]
     scene = prepared(gaussians, threads)
     clock.append(time.perf_counter())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from ..arguments import shown, whole_number
 from ..cameras.camera import Camera
 from ..errors import InputError
 from ..gaussians import Gaussians
+from .definition import MAX_DILATION
 from .options import check_types, checked_definition, checked_outputs
 from .render import Render, render
 
@@ -23,17 +25,18 @@ def render_supersampled(gaussians: Gaussians, camera: Camera, factor: int, **opt
 
     The dilation is scaled with the size, so that splats keep their footprint and only the sampling is finer. Time grows
     with the square of the factor. `stats` are those of the larger image. Raises `InputError` for a factor that is no
-    whole number from 1 on, and for outputs other than AVERAGED.
+    whole number from 1 on or takes the dilation beyond MAX_DILATION, and for outputs other than AVERAGED.
     """
     check_types(gaussians, camera)
-    times = whole_number(factor)
-    if times is None or times < 1:
-        raise InputError(f"is {shown(factor)}, need a whole number of at least 1", field="factor")
     outputs = checked_outputs(options.pop("outputs", AVERAGED))
     others = sorted(set(outputs) - set(AVERAGED))
     if others:
         raise InputError(f"{others[0]!r} has no mean over samples, need some of {', '.join(AVERAGED)}", field="outputs")
     rule = checked_definition(*(options.pop(name, None) for name in ("definition", "near", "compatibility")))
+    times, most = whole_number(factor), math.isqrt(int(MAX_DILATION / rule.dilation))
+    if times is None or not 1 <= times <= most:
+        need = f"need a whole number from 1 to {most}, by which dilation {rule.dilation:g} px^2 stays in its range"
+        raise InputError(f"is {shown(factor)}, {need}", field="factor")
     rule = replace(rule, dilation=rule.dilation * times * times)
     larger = camera.resized(times * camera.width, times * camera.height)
     needed = {*outputs, "alpha"} if "depth" in outputs else outputs

@@ -27,7 +27,7 @@ CHECK = 8  # Gaussians between tests whether all pixels of the block are finishe
 
 # Fields of a list entry, relative to the tile's centre; an entry is one cache line.
 # A depth with its sign bit set marks a Gaussian of the subset whose weights are summed as REMOVED.
-U1, STEP1, U2, SHEAR2, STEP2, LOG_OPACITY, RED, GREEN, BLUE, DEPTH, CUT = range(11)
+U1, STEP1, U2, SHEAR2, STEP2, LOG2_OPACITY, RED, GREEN, BLUE, DEPTH, CUT = range(11)
 ENTRY = 16  # floats
 
 
@@ -42,7 +42,7 @@ def layer(
     """Masks of the pixels where an entry passes its cut, and its alphas, not yet limited and undefined elsewhere."""
     each = range(VECTORS)
     across = lanes.fma(x, spread_field(lanes, entry, STEP1), spread_field(lanes, entry, U1))
-    level = lanes.fma(lanes.minus(across), across, spread_field(lanes, entry, LOG_OPACITY))
+    level = lanes.fma(lanes.minus(across), across, spread_field(lanes, entry, LOG2_OPACITY))
     start = lanes.fma(lanes.minus(x), spread_field(lanes, entry, SHEAR2), spread_field(lanes, entry, U2))
     step = spread_field(lanes, entry, STEP2)
     down = [lanes.fma(y[j], step, start) for j in each]

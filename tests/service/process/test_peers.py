@@ -34,14 +34,14 @@ def living() -> Iterator[int]:
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_that_shares_no_folder_is_complete_by_itself(count: int) -> None:
     alone = Peers(count, None)
-    alone.loaded()
+    alone.announce_loaded()
     assert alone.complete
-    assert alone.wanted
+    assert alone.may_listen_unloaded
 
 
 def test_a_single_process_leaves_the_folder_of_others_alone(tmp_path: Path) -> None:
     alone = Peers(1, tmp_path)
-    alone.loaded()
+    alone.announce_loaded()
     assert alone.complete
     assert list(tmp_path.iterdir()) == []
 
@@ -52,7 +52,7 @@ def test_what_was_announced_is_announced_again_where_the_folder_was_deleted(tmp_
     folder.mkdir()
     peers, unloaded = Peers(2, folder), Peers(2, folder)
     (folder / f"loaded_{living}").touch()
-    peers.loaded()
+    peers.announce_loaded()
     assert peers.complete
     shutil.rmtree(folder)
     unloaded.keep()
@@ -65,23 +65,23 @@ def test_what_was_announced_is_announced_again_where_the_folder_was_deleted(tmp_
 
 def test_they_are_complete_when_the_last_is_loaded_and_stay_so(tmp_path: Path, living: int) -> None:
     peers = Peers(2, tmp_path)
-    peers.loaded()
-    peers.loaded()  # the same one
+    peers.announce_loaded()
+    peers.announce_loaded()  # the same one
     assert not peers.complete
-    assert peers.wanted
+    assert peers.may_listen_unloaded
     assert peers.living() == [os.getpid()]
     (tmp_path / f"loaded_{living}").touch()
-    peers.loaded()
+    peers.announce_loaded()
     assert sorted(peers.living()) == sorted([os.getpid(), living])
     late = Peers(2, tmp_path)
     for each in (peers, late):
         assert each.complete
-        assert not each.wanted
+        assert not each.may_listen_unloaded
     for file in tmp_path.iterdir():  # whoever tidies there
         file.unlink()
     for each in (peers, late):
         assert each.complete
-        assert each.wanted  # nobody else answers, as far as one can tell
+        assert each.may_listen_unloaded  # nobody else answers, as far as one can tell
 
 
 def test_one_that_died_unseen_by_its_parent_does_not_live() -> None:
@@ -95,7 +95,7 @@ def test_one_that_died_does_not_count(tmp_path: Path, gone: int) -> None:
     assert not is_alive(gone)
     (tmp_path / f"loaded_{gone}").touch()
     peers = Peers(2, tmp_path)
-    peers.loaded()
+    peers.announce_loaded()
     assert not peers.complete
     assert peers.living() == [os.getpid()]
 
@@ -103,7 +103,7 @@ def test_one_that_died_does_not_count(tmp_path: Path, gone: int) -> None:
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc, by which two processes of one id differ")
 def test_a_later_process_with_the_id_of_one_that_was_loaded_does_not_count(tmp_path: Path, living: int) -> None:
     peers = Peers(2, tmp_path)
-    peers.loaded()
+    peers.announce_loaded()
     (own,) = tmp_path.glob("loaded_*")
     (tmp_path / f"loaded_{living}").write_text(str(int(own.read_text()) - 1))
     assert peers.living() == [os.getpid()]

@@ -13,7 +13,7 @@ from splat_cases import bits, camera, compare, dots, moved, scene
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import GaussiansError, InputError
 from gapmes.service.gaussians import Gaussians
-from gapmes.service.splat import Definition, Render, render, render_reference
+from gapmes.service.splat import Definition, render, render_reference
 from gapmes.service.splat.spans import MAX_SIDE
 from gapmes.service.splat.tile_state import bytes_of
 
@@ -255,11 +255,14 @@ def test_a_side_whose_tiles_cannot_be_numbered_is_refused():
         render(gaussians, Camera(MAX_SIDE + 1, 1, 1000.0, 1000.0, 0.0, 0.5, np.eye(4)))
 
 
-def test_a_picture_that_memory_has_no_room_for_is_refused_by_its_size(monkeypatch):
+@pytest.mark.parametrize(("module", "step"), [("sight", "project"), ("render", "new_canvas")])
+def test_a_picture_that_memory_has_no_room_for_is_refused_by_its_size(monkeypatch, module, step):
+    """Whatever does not fit, its planes or the counts of its tiles."""
+
     def full(*_):
         raise MemoryError
 
-    monkeypatch.setattr(sys.modules[Render.__module__], "_canvas", full)
+    monkeypatch.setattr(sys.modules[f"gapmes.service.splat.{module}"], step, full)
     with pytest.raises(InputError, match="48 x 40 px do not fit into the memory that is free") as caught:
         render(scene(10), camera(48, 40, 30.0))
     assert caught.value.field == "camera.size"
