@@ -42,7 +42,7 @@ def reconstruct(
     far: Annotated[float | None, typer.Option(help="farthest depth, in the cameras' units")] = None,
     trust_poses: Annotated[bool, typer.Option(help="only warn if photographs or overlap contradict the poses")] = False,
     refine_poses: Annotated[
-        bool, typer.Option(help="correct poses that are slightly wrong, to match the first")
+        bool, typer.Option(help="correct poses that are slightly wrong, to match each other")
     ] = False,
     max_error: Annotated[
         str, typer.Option(help="largest change of a colour by leaving Gaussians out; 0: none, off: keep all")

@@ -67,7 +67,7 @@ FORM: dict[str, Any] = {
         },
         "refine_poses": {
             "type": "boolean",
-            "description": "correct poses and focal lengths that are slightly wrong, to match the first view's",
+            "description": "correct poses and focal lengths that are slightly wrong, to match each other",
         },
         "max_error": {
             "type": "string",

@@ -1,9 +1,14 @@
-"""Cameras that are slightly wrong, corrected until what they have in common stands where they allow it."""
+"""Cameras that are slightly wrong, corrected until what they have in common stands where they allow it.
+
+Matches say how cameras stand to each other, not which of them is wrong: one is held as it is given. Of three or more it
+is the one beside which the others change least, since errors of one camera are likelier than the same error of all
+others.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -20,21 +25,24 @@ from .pair_matches import PairMatches
 F64 = NDArray[np.float64]
 
 ROUNDS = 3  # of matching and least squares
+CLEARLY = 0.9  # of the change beside the first of views: another is held where it is less
 
 
 def refined_cameras(
     pairs: PairMatches, before: Sequence[EpipolarResidual], numbers: Sequence[int]
 ) -> tuple[list[Camera], Notice] | None:
-    """The cameras of the views, all but the first turned, moved and with other focal lengths, and what is told of it;
-    None without residuals `before` that are `doubted`, or where more than LEFT of the largest remains. Of views that no
-    match joins to the first, the first stays as well. `numbers` are what the caller calls the views.
+    """The cameras of the views, all but one turned, moved and with other focal lengths, and what is told of it; None
+    without residuals `before` that are `doubted`, or where more than LEFT of the largest remains. Of views that no
+    match joins to the others, one stays as well. `numbers` are what the caller calls the views.
     """
     if not before:
         return None
     given = [view.camera for view in pairs.views]
-    refined = pairs
+    refined, held = pairs, None
     for _ in range(ROUNDS):
-        changes, unit = _changes(refined), longest_baseline(refined.views)
+        equations, unit = _Equations.of(refined), longest_baseline(refined.views)
+        held = equations.held() if held is None else held
+        changes = equations.changes(held)
         views = [
             replace(view, camera=_changed(view.camera, change, unit))
             for view, change in zip(refined.views, changes, strict=True)
@@ -49,37 +57,73 @@ def refined_cameras(
     lost = any(residual.pair not in after for residual in before)  # it matches no more
     if far or lost or left > LEFT * worst:
         return None
+    held = held or []
     told = [
         f"view {number} was turned by {np.degrees(turn):.2g} degrees and moved by {100 * shift:.2g} % of the longest "
         f"baseline, its focal length is {np.exp(zoom):.4f} times the given one"
-        for number, turn, zoom, shift in zip(numbers, turns, zooms, shifts, strict=True)
-    ][1:]
+        for view, (number, turn, zoom, shift) in enumerate(zip(numbers, turns, zooms, shifts, strict=True))
+        if view not in held
+    ]
+    stay = ", ".join(str(numbers[view]) for view in held)
     message = (
         f"what the views have in common stood up to {worst:.2f} px (median of a pair) beside where their cameras "
-        f"allow it, and stands {left:.2f} px beside it since they were corrected: {'; '.join(told)}; the camera of "
-        f"view {numbers[0]} is as given"
+        f"allow it, and stands {left:.2f} px beside it since they were corrected: {'; '.join(told)}; "
+        f"{'the cameras of views' if len(held) > 1 else 'the camera of view'} {stay} "
+        f"{'are' if len(held) > 1 else 'is'} as given"
     )
     of_px = {"px": round(worst, 3), "left_px": round(left, 3)}
     return cameras, {"code": "poses_refined", "field": "cameras", "message": message, **of_px}
 
 
-def _changes(pairs: PairMatches) -> F64:
-    """(V, CHANGES) the changes of the cameras that explain the distances of all pairs best; 0 of the first of views
-    that are joined."""
-    views = len(pairs.views)
-    found = epipolar_distances(pairs, combinations(range(views), 2))
-    first = first_joined(views, [each.pair for each in found])
-    free = [view for view, lowest in enumerate(first) if view != lowest]
-    px = np.concatenate([np.zeros(0), *(each.px for each in found)])
-    slopes, row = np.zeros((len(px), views, CHANGES)), 0
-    for each in found:
-        slopes[row : row + len(each.px), each.pair] = each.slopes
-        row += len(each.px)
-    changes = np.zeros((views, CHANGES))
-    if free:
-        of_free = slopes[:, free].reshape(len(px), len(free) * CHANGES)
-        changes[free] = best_change(px, of_free, np.tile(UNSEEN_PX, len(free)))[0].reshape(-1, CHANGES)
-    return changes
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """The distances of all pairs of V views, linear in the changes of the cameras."""
+
+    px: F64  # (N,)
+    slopes: F64  # (N, V, CHANGES)
+    first: list[int]  # (V,) of each view the lowest one that matches join it with
+
+    @classmethod
+    def of(cls, pairs: PairMatches) -> _Equations:
+        views = len(pairs.views)
+        found = epipolar_distances(pairs, combinations(range(views), 2))
+        px = np.concatenate([np.zeros(0), *(each.px for each in found)])
+        slopes, row = np.zeros((len(px), views, CHANGES)), 0
+        for each in found:
+            slopes[row : row + len(each.px), each.pair] = each.slopes
+            row += len(each.px)
+        return cls(px, slopes, first_joined(views, [each.pair for each in found]))
+
+    def held(self) -> list[int]:
+        """The views that stay as they are given, one of each set that matches join: of two the first, of more the one
+        beside which the others change least, unless it is not CLEARLY less than beside the first."""
+        found = []
+        for lowest in sorted(set(self.first)):
+            joined = [view for view, first in enumerate(self.first) if first == lowest]
+            others = joined[1:] if len(joined) > 2 else []
+            least, best = CLEARLY * self._amount(joined, lowest) if others else 0.0, lowest
+            for view in others:
+                amount = self._amount(joined, view)
+                if amount < least:
+                    least, best = amount, view
+            found.append(best)
+        return found
+
+    def changes(self, held: Sequence[int]) -> F64:
+        """(V, CHANGES) the changes of the cameras that explain the distances best; 0 of those `held`."""
+        return self._changes_of([view for view in range(len(self.first)) if view not in held])
+
+    def _amount(self, joined: Sequence[int], held: int) -> float:
+        """How much the others of the views `joined` change beside the one `held`, in px that they move points by."""
+        changes = self._changes_of([view for view in joined if view != held])
+        return float(np.linalg.norm(changes * UNSEEN_PX, axis=1).sum())
+
+    def _changes_of(self, free: Sequence[int]) -> F64:
+        changes = np.zeros((len(self.first), CHANGES))
+        if free:
+            of_free = self.slopes[:, free].reshape(len(self.px), len(free) * CHANGES)
+            changes[free] = best_change(self.px, of_free, np.tile(UNSEEN_PX, len(free)))[0].reshape(-1, CHANGES)
+        return changes
 
 
 def _changed(camera: Camera, change: F64, unit: float) -> Camera:

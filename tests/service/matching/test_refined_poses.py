@@ -1,4 +1,4 @@
-"""Cameras that are slightly wrong are corrected to match the first; right ones stay, and what cannot be mended too."""
+"""Cameras that are slightly wrong are corrected to match the others; right ones stay, and what cannot be mended too."""
 
 from __future__ import annotations
 
@@ -105,11 +105,26 @@ def test_a_turn_of_the_first_becomes_one_of_the_second() -> None:
     assert np.degrees(rotation_angle(between[0].T @ between[1])) < 3 * DEGREES
 
 
-def test_of_three_views_the_one_that_is_wrong_is_turned() -> None:
+@pytest.mark.parametrize("wrong", range(3))
+def test_of_three_views_the_one_that_is_wrong_is_turned(wrong: int) -> None:
+    """The first as well: the two others agree, and one of them is held."""
     exact = sample((1, 3, 5))
-    cameras = refined(turned(exact, 1, UP, 0.7))
+    found = corrected(turned(exact, wrong, UP, 0.7), (4, 7, 9))
+    assert found is not None
+    cameras, message = found[0], found[1]["message"]
     for camera, view in zip(cameras, exact.views, strict=True):
         assert degrees(camera, view.camera) < DEGREES
+    held = 0 if wrong else next(place for place, name in ((1, 7), (2, 9)) if f"view {name} is as given" in message)
+    np.testing.assert_array_equal(cameras[held].world_from_cam, exact.views[held].camera.world_from_cam)
+    assert f"view {(4, 7, 9)[wrong]} was turned by 0." in message
+    assert f"view {(4, 7, 9)[held]} was turned" not in message
+
+
+def test_of_three_views_that_are_all_a_little_wrong_the_first_stays() -> None:
+    """Nothing tells that another is right."""
+    exact = sample((1, 3, 5))
+    wrong = turned(turned(turned(exact, 0, UP, 0.2), 1, (0.0, 0.0, 1.0), 0.6), 2, UP, -0.3)
+    np.testing.assert_array_equal(refined(wrong)[0].world_from_cam, wrong.views[0].camera.world_from_cam)
 
 
 def test_views_that_nothing_joins_to_the_first_keep_their_first() -> None:
@@ -117,7 +132,10 @@ def test_views_that_nothing_joins_to_the_first_keep_their_first() -> None:
     exact = sample((0, 1, 3, 5))
     blank = [replace(view, image=np.zeros_like(view.image)) for view in (exact.views[0], exact.views[3])]
     views = [*blank, exact.views[1], exact.views[2]]
-    cameras = refined(turned(PairMatches(views, exact.depths), 3, UP, 0.7))
+    found = corrected(turned(PairMatches(views, exact.depths), 3, UP, 0.7))
+    assert found is not None
+    cameras, notice = found
+    assert notice["message"].endswith("the cameras of views 0, 1, 2 are as given")
     for camera, view in zip(cameras[:3], views, strict=False):
         np.testing.assert_array_equal(camera.world_from_cam, view.camera.world_from_cam)
     assert degrees(cameras[3], views[3].camera) < DEGREES
