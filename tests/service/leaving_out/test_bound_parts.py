@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from clouds import cloud, view
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.gaussians import Gaussians
@@ -101,3 +102,36 @@ def test_the_outermost_pixels_that_a_ball_marks_count_as_reached(focal: float, m
         pixel = np.zeros((40, 40), bool)
         pixel[row, column] = True
         assert reaches(ball, camera, pixel, rule).all()
+
+
+@pytest.mark.case("S1")
+def test_a_removal_changes_no_colour_by_more_than_their_range() -> None:
+    """What covers a pixel alone has all of its weight: no rounding beyond."""
+    gaussians, rule = behind_each_other([1.0], [0.9]), Definition(alpha_max=1.0)
+    assert removal_bound(gaussians, np.ones(1, bool), [PIXEL], definition=rule) == colour_range(gaussians) == 1.0
+
+
+def test_where_nothing_may_go_nothing_changes_and_the_mask_stays_the_callers() -> None:
+    gaussians, cameras = cloud(60, 3), [view(-0.1), view(0.1)]
+    none = prune(gaussians, cameras, 0.3, may_go=np.zeros(60, bool), worth=0, pictures=2)
+    assert (none.dropped, none.bound, none.actual) == (0, 0.0, 0.0)
+    may_go = np.arange(60) % 3 > 0
+    before = may_go.copy()
+    found = prune(gaussians, cameras, 0.3, may_go=may_go, worth=0)
+    assert 0 < found.dropped < before.sum()
+    assert not (~found.keep & ~before).any()
+    np.testing.assert_array_equal(may_go, before)
+
+
+def test_what_is_left_to_go_after_the_second_look_may_be_too_little() -> None:
+    """Two hundred faint layers in one place, of which each alone could go, and one out of sight: all stay. With more of
+    those, they go."""
+    for hidden, dropped in ((1, 0), (9, 9)):
+        z = np.concatenate([2 + 0.001 * np.arange(200), np.full(hidden, -3.0)])
+        means, count = np.outer(z, [0, 0, 1]), 200 + hidden
+        turned = np.tile([1.0, 0, 0, 0], (count, 1))
+        scene = Gaussians.make(
+            means, np.full((count, 3), 0.1), turned, np.full(count, 0.0045), np.zeros((count, 1, 3))
+        )
+        result = prune(scene, [view()], 0.05)
+        assert (result.dropped, result.unseen, result.bound) == (dropped, dropped, 0.0)
