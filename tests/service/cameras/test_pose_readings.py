@@ -1,5 +1,6 @@
 """Other readings of the poses: all that match equally well are named, and so is rotating photographs as EXIF says."""
 
+import math
 import re
 from dataclasses import replace
 from itertools import permutations
@@ -13,7 +14,7 @@ from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.camera_fields import opencv_pose
 from gapmes.service.cameras.camera_file import parse_camera_file
 from gapmes.service.cameras.depth_range import DepthRange, depth_range, largest_baseline
-from gapmes.service.cameras.pose_readings import other_orders, other_readings, robot_readings
+from gapmes.service.cameras.pose_readings import apart_when_inverted, other_orders, other_readings, robot_readings
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.errors import BaselineError, ContradictionError
 from gapmes.service.matching.photo_checks import check_photos
@@ -240,3 +241,27 @@ def test_other_orders_are_every_swap_and_of_three_every_order(count):
     for order, cure in found.items() if count > 2 else ():
         said = {(k, own) for k in range(count) for own in range(count) if f"{10 + k} fits that of {10 + own}" in cure}
         assert said == {(k, own) for k, own in enumerate(order) if k != own}
+
+
+def two(apart: float, turn: float) -> list[Camera]:
+    """Ten units ahead of the origin, so many apart, the second turned; about the origin that turn moves its inverse."""
+    poses = [np.eye(4), np.eye(4)]
+    poses[1][:3, :3] = about_axis(np.array([0.0, 1.0, 0.0]), turn)
+    for pose, x in zip(poses, (0.0, apart), strict=True):
+        pose[:3, 3] = [x, 0.0, 10.0]
+    return [Camera.make(320, 240, 250, 250, 160, 120, pose) for pose in poses]
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.5, False), (9.5, False), (10.5, True), (400.0, True)])
+def test_inverting_is_told_where_it_brings_cameras_ten_times_as_far_apart(times: float, told: bool) -> None:
+    cameras = two(0.02, -math.asin(0.02 * (times - 1) / 10))
+    centers = [np.linalg.inv(camera.world_from_cam)[:3, 3] for camera in cameras]
+    ratio = np.linalg.norm(centers[0] - centers[1]) / 0.02
+    assert (ratio > 10) == told
+    assert bool(apart_when_inverted(cameras)) == told
+
+
+def test_inverses_that_rounding_alone_moves_apart_are_not_told() -> None:
+    """By a ten-millionth of a unit in ten; by a thousandth they are."""
+    assert apart_when_inverted(two(0.0, 1e-8)) == ""
+    assert "then stand 0.001 apart" in apart_when_inverted(two(0.0, 1e-4))

@@ -130,8 +130,6 @@ def test_what_is_left_to_go_after_the_second_look_may_be_too_little() -> None:
         z = np.concatenate([2 + 0.001 * np.arange(200), np.full(hidden, -3.0)])
         means, count = np.outer(z, [0, 0, 1]), 200 + hidden
         turned = np.tile([1.0, 0, 0, 0], (count, 1))
-        scene = Gaussians.make(
-            means, np.full((count, 3), 0.1), turned, np.full(count, 0.0045), np.zeros((count, 1, 3))
-        )
+        scene = Gaussians.make(means, np.full((count, 3), 0.1), turned, np.full(count, 0.0045), np.zeros((count, 1, 3)))
         result = prune(scene, [view()], 0.05)
         assert (result.dropped, result.unseen, result.bound) == (dropped, dropped, 0.0)

@@ -13,6 +13,7 @@ from PIL import Image
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.errors import ImageError, ImageUnreadable
 from gapmes.service.network.engine import Engine
+from gapmes.service.photographs.arrays import checked_pixels
 from gapmes.service.photographs.fitting import Picture, fitted
 from gapmes.service.photographs.images import Photo, decode_image
 
@@ -167,3 +168,19 @@ def test_a_path_without_a_photograph_is_refused_with_a_cure(
     error = refusal(tmp_path / name, engine)
     assert error.message.endswith(f"cannot be read: {said}")
     assert cure in error.cure
+
+
+@pytest.mark.parametrize("shape", [(3, 8, 9), (4, 8, 9)])
+def test_channels_first_are_told_with_and_without_opacity(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ImageError) as caught:
+        checked_pixels(np.zeros(shape, np.uint8), 2)
+    assert caught.value.cure == "put the channels last: array.transpose(1, 2, 0)"
+    assert f"array is uint8 of shape {shape}" in caught.value.message
+
+
+@pytest.mark.parametrize(("kind", "told"), [(np.uint16, True), (np.uint32, False), (np.uint64, False)])
+def test_only_of_sixteen_bits_the_cure_is_for_sixteen_bits(kind: type, told: bool) -> None:
+    """Of 32 bits most arrays hold levels up to 255, which a division would make black."""
+    with pytest.raises(ImageError) as caught:
+        checked_pixels(np.full((8, 9, 3), 200, kind), 2)
+    assert ("257" in caught.value.cure) == told

@@ -52,3 +52,15 @@ def test_a_pixel_that_is_averaged_away_leaves_no_mask_and_no_colour() -> None:
     found, kept = resampled(rgb, mask, (64, 64), (0.0, 0.0, 640.0, 640.0))
     assert kept is None
     assert np.abs(found.astype(int) - 200).max() <= 1  # rounding of the weighted colours
+
+
+@pytest.mark.parametrize("size", [(40, 20), (128, 64), (200, 100)])
+def test_beside_a_mask_no_colour_is_darker_or_brighter_than_what_it_keeps(size: tuple[int, int]) -> None:
+    """Negative weights would ring at the edges of the blocks, most where a mask leaves few pixels."""
+    rng = np.random.default_rng(3)
+    rgb = rng.choice(np.array([60, 200], np.uint8), (16, 32, 3)).repeat(4, axis=0).repeat(4, axis=1)
+    mask = rng.random((64, 128)) < 0.7
+    found, kept = resampled(np.where(mask[..., None], rgb, 0).astype(np.uint8), mask, size, (0.0, 0.0, 128.0, 64.0))
+    colours = found if kept is None else found[kept]
+    assert 58 <= colours.min() < 75
+    assert 185 < colours.max() <= 202

@@ -11,8 +11,9 @@ from plane_scene import PlaneScene
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.rotations import about_axis
 from gapmes.service.network.engine import Engine
-from gapmes.service.photographs.images import FittedView
-from gapmes.service.photographs.rolled import quarter_turns, turned_camera, turned_patches, turned_view
+from gapmes.service.photographs.fitting import FittedPhotos
+from gapmes.service.photographs.images import FittedView, PackedView
+from gapmes.service.photographs.rolled import quarter_turns, turned_camera, turned_patches, turned_photos, turned_view
 from gapmes.service.reconstruct import Reconstructor, Scene
 
 X, Y, Z = np.eye(3)
@@ -131,3 +132,26 @@ def test_a_scene_hardly_changes_where_one_camera_was_upside_down(engine: Engine)
     maps, before = (made.document["routing"]["maps"]["experts"] for made in (found, usual))
     assert maps[0] == before[0]
     assert maps[1] == before[1][::-1]
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_a_photograph_turns_at_all_sizes_with_their_cameras(turns: int) -> None:
+    colours = np.random.default_rng(1).integers(0, 256, (3, 16, 16)).astype(np.float32) / 255
+    camera = Camera.make(16, 16, 20.0, 18.0, 7.5, 9.0, looking(about_axis(Y, 0.4)).world_from_cam)
+    seen = FittedView(colours[:, ::2, ::2], None, camera.resized(8, 8), 1.0)
+    shown = FittedView(colours, np.arange(256).reshape(16, 16) % 5 > 0, camera, 1.0)
+    photos = FittedPhotos([seen] * 2, [shown] * 2, [PackedView.of(shown)] * 2, [])
+    found = turned_photos(photos, [0, turns])
+    for before, after, view in (
+        (photos.seen, found.seen, seen),
+        (photos.shown, found.shown, shown),
+        (photos.fine, found.fine, shown),
+    ):
+        assert after[0] is before[0]
+        expected = turned_view(view, turns)
+        np.testing.assert_allclose(after[1].image, expected.image, atol=1e-7)
+        assert (after[1].mask is None) == (expected.mask is None)
+        if expected.mask is not None:
+            np.testing.assert_array_equal(after[1].mask, expected.mask)
+        np.testing.assert_array_equal(after[1].camera.intrinsics, expected.camera.intrinsics)
+        np.testing.assert_array_equal(after[1].camera.world_from_cam, expected.camera.world_from_cam)

@@ -64,3 +64,13 @@ def test_a_larger_picture_is_scaled_to_its_cell() -> None:
     assert sheet.shape == (TITLE + 150 + LABEL + 2 * GAP, CELL + 2 * GAP, 3)
     assert (sheet[GAP + TITLE : GAP + TITLE + 150, GAP : GAP + CELL] == 40).all()
     assert (sheet == 40).all(axis=2).sum() == 150 * CELL
+
+
+def test_a_row_is_as_high_as_its_highest_picture_wherever_that_stands() -> None:
+    cells = [Cell(np.full((height, 160, 3), 40, np.uint8), "") for height in (60, 90, 30)]
+    rows = [Row("", cells), Row("", cells[:1])]
+    sheet = np.asarray(contact_sheet(rows))
+    assert sheet.shape[0] == 2 * (TITLE + LABEL + GAP) + 90 + 60 + GAP
+    below = GAP + TITLE + 90 + LABEL + GAP + TITLE
+    assert (sheet[below : below + 60, GAP : GAP + 160] == 40).all()
+    assert (sheet == 40).all(axis=2).sum() == 160 * (60 + 90 + 30 + 60)

@@ -97,3 +97,20 @@ def test_what_is_no_colour_is_refused(text: str) -> None:
         parse_background(text)
     assert caught.value.field == "background"
     assert "one of black, white, grey" in str(caught.value.cure)
+
+
+@pytest.mark.parametrize("top", [255, 65535])
+def test_half_a_level_above_the_highest_is_the_highest(top: int) -> None:
+    """To even it would be rounded to one more, which an integer of its bits holds as 0: nothing there."""
+    levels, _ = depth_levels(np.array([[1.0, top + 0.5]]), np.ones((1, 2), bool), top, 1.0)
+    assert levels.tolist() == [[1, top]]
+
+
+def test_a_jpeg_has_all_of_its_colours() -> None:
+    """Columns of red and blue by turns, which half the resolution of colour would mix."""
+    render = drawn(np.ones((32, 32)))
+    render.rgb[:, ::2, 0] = render.rgb[:, 1::2, 2] = 1.0
+    with Image.open(io.BytesIO(encode(render, "rgb", "jpeg").data)) as image:
+        found = np.asarray(image).astype(int)
+    assert (found[:, ::2, 0] - found[:, ::2, 2]).min() > 150
+    assert (found[:, 1::2, 2] - found[:, 1::2, 0]).min() > 150

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator
+from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,31 @@ def test_pictures_that_move_say_how_long_and_begin_anew(format: Any, tmp_path: P
     times = times_of(path)
     assert sum(times) == 700
     assert max(times) - min(times) <= film.UNIT_MS[format]
+
+
+@pytest.mark.parametrize(("format", "unit"), [("webp", 1), ("gif", 10)])
+def test_each_frame_lasts_as_long_as_its_format_can_tell(format: Any, unit: int, tmp_path: Path) -> None:
+    """58.3 ms each."""
+    path = tmp_path / f"film.{format}"
+    write_film(path, shape(format, seconds=0.7), map(drawn, range(FRAMES)))
+    assert all(abs(time - 700 / FRAMES) < unit for time in times_of(path))
+
+
+def test_a_still_film_of_an_odd_time_loses_none_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "film.webp"
+    write_film(path, shape("webp", seconds=0.711), [drawn(3)] * FRAMES)
+    assert times_of(path) == [355, 356]
+
+
+@needs_av
+def test_mp4_has_any_rate(tmp_path: Path) -> None:
+    import av
+
+    path = tmp_path / "film.mp4"
+    write_film(path, shape("mp4", seconds=0.7), map(drawn, range(FRAMES)))
+    with av.open(str(path)) as container:
+        assert container.streams.video[0].average_rate == Fraction(120, 7)
+        assert container.duration == pytest.approx(700_000, abs=1000)
 
 
 @pytest.mark.parametrize("level", [None, 77], ids=["picture", "grey"])

@@ -248,6 +248,11 @@ def test_the_farthest_input_on_either_side_counts(side):
     assert 29 < seen_swing(cameras, PIVOT) < 31
 
 
+def test_an_input_behind_the_pivot_swings_as_far_as_any():
+    """From 150 degrees round; the mean of it and of three in front stands at 13."""
+    assert seen_swing([*arc(0.0, 1) * 3, arc(150.0, 2)[1]], PIVOT) == MOST_SWING
+
+
 def test_a_swing_has_bounds():
     assert seen_swing(arc(0.5), PIVOT) == LEAST_SWING
     assert seen_swing(arc(0.0, 1), PIVOT) == LEAST_SWING
