@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from .config import CELLS_PER_PATCH, PIXELS_PER_PATCH, VitConfig
 from .depth_anything import DepthAnything
+from .gradients import no_gradient
 from .vit import Vit, normalised_for_vit
 
 _FLAT = 1e-4  # of its greatest value: below this deviation a depth map says nothing but rounding
@@ -31,7 +32,7 @@ class VitFeatures(nn.Module):
         """(n, 3, H, W) in [0, 1] -> (n, hidden, H/16, W/16)."""
         height, width = images.shape[-2] // PIXELS_PER_PATCH, images.shape[-1] // PIXELS_PER_PATCH
         x = _seen_by_vit(normalised_for_vit(images), self.config.patch)
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
+        with no_gradient(self.frozen):
             tokens = self.vit(x)[:, 1:]
         return tokens.transpose(1, 2).reshape(-1, self.config.hidden, height, width)
 
@@ -65,7 +66,7 @@ class DepthAnythingFeatures(nn.Module):
         """
         rows, columns = images.shape[-2] // PIXELS_PER_PATCH, images.shape[-1] // PIXELS_PER_PATCH
         x = _seen_by_vit(normalised_for_vit(images), self.config.patch)
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
+        with no_gradient(self.frozen):
             tokens, inverse = self.model(x)
         features = tokens[:, 1:].transpose(1, 2).reshape(-1, self.config.hidden, rows, columns)
         return features, without_scale_and_shift(self._per_cell(inverse, rows, columns))

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .geometry import camera_rays, other_views, pixel_grid, repeat_for_pairs, rigid_inverse
+from .gradients import no_gradient
 from .layers import replicate_pad
 from .warp import Warp
 
@@ -45,20 +46,23 @@ class Views:
         low, high = self.per_view(self.inverse_far), self.per_view(self.inverse_near)
         return low + (high - low) * normalised
 
-    @torch.no_grad()
     def warp(self, height: int, width: int) -> Warp:
         """The warp of a height x width grid, rays (m, 1, height * width), between all m = B*V*(V-1) ordered pairs of
         views; cached by size. No gradient flows to the cameras."""
         if (height, width) not in self._warps:
-            others = self.count - 1
-            reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)
-            source_pose = other_views(self.world_from_cam).reshape(-1, 4, 4)
-            reference_k = repeat_for_pairs(self.intrinsics, others).reshape(-1, 3, 3)
-            source_k = other_views(self.intrinsics).reshape(-1, 3, 3)
-            grid = pixel_grid(height, width, reference_k.device).expand(reference_k.shape[0], -1, -1, -1)
-            rays = camera_rays(grid, reference_k).flatten(2).unsqueeze(2)
-            self._warps[height, width] = Warp.make(rays, source_k, rigid_inverse(source_pose) @ reference_pose)
+            with no_gradient():
+                self._warps[height, width] = self._warp(height, width)
         return self._warps[height, width]
+
+    def _warp(self, height: int, width: int) -> Warp:
+        others = self.count - 1
+        reference_pose = repeat_for_pairs(self.world_from_cam, others).reshape(-1, 4, 4)
+        source_pose = other_views(self.world_from_cam).reshape(-1, 4, 4)
+        reference_k = repeat_for_pairs(self.intrinsics, others).reshape(-1, 3, 3)
+        source_k = other_views(self.intrinsics).reshape(-1, 3, 3)
+        grid = pixel_grid(height, width, reference_k.device).expand(reference_k.shape[0], -1, -1, -1)
+        rays = camera_rays(grid, reference_k).flatten(2).unsqueeze(2)
+        return Warp.make(rays, source_k, rigid_inverse(source_pose) @ reference_pose)
 
 
 class PatchDescriptor(nn.Module):

@@ -13,6 +13,7 @@ from .behind import filled_from_behind
 from .config import ModelConfig
 from .cost_volume import PatchDescriptor, Views, local_matching, sweep
 from .evidence import at_candidates, matching_evidence
+from .gradients import no_gradient
 from .layers import ResidualBlock, replicate_pad, resize_to, softmax_mean, softmax_of_channels
 from .trunk import TrunkFeatures
 
@@ -129,12 +130,12 @@ class DepthFromMatching(nn.Module):
         second = _moved(refined, candidates, self.second_logits(guide) + votes)
         return DepthEstimate(coarse, refined, second, self._upsample(second, guide), confidence, volume, guide)
 
-    @torch.no_grad()
     def _evidence(self, colours: Tensor, views: Views, *, nothing: bool) -> Tensor:
-        """(n, D, h, w) `matching_evidence` of pictures (n, 3, h, w); zeros if `nothing`."""
+        """(n, D, h, w) `matching_evidence` of pictures (n, 3, h, w), or zeros if `nothing`; no gradient."""
         if nothing:
             return colours.new_zeros(colours.shape[0], self.planes, *colours.shape[-2:])
-        return matching_evidence(colours, views, self.planes, sparse=self.sparse)
+        with no_gradient():
+            return matching_evidence(colours, views, self.planes, sparse=self.sparse)
 
     def _first_depth(self, evidence: Tensor, bins: Tensor) -> Tensor:
         """(n, 1, h, w) normalised inverse depth: the soft argmax of evidence (n, D, h, w) over the `bins` (D,)."""

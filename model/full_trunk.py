@@ -11,6 +11,7 @@ from .depthsplat.cnn import CnnEncoder
 from .depthsplat.config import CNN_CHANNELS, FEATURES
 from .depthsplat.neighbours import nearest_views, neighbour_rows
 from .depthsplat.transformer import MultiViewTransformer, with_positions
+from .gradients import no_gradient
 from .trunk import TrunkFeatures
 from .vit import normalised_for_vit
 
@@ -36,7 +37,7 @@ class FullTrunk(nn.Module):
 
     def forward(self, images: Tensor, views: Views) -> TrunkFeatures:
         """images (B*V, 3, H, W) in [0, 1]; each view is compared with its two nearest neighbours."""
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.frozen):
+        with no_gradient(self.frozen):
             _, half, texture = self.backbone(normalised_for_vit(images))
             rows = neighbour_rows(nearest_views(views.world_from_cam, as_listed=False))
             multi_view = self.transformer(with_positions(texture), rows)
