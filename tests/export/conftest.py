@@ -1,4 +1,4 @@
-"""Exports that several tests share, each made once at 64 x 64 pixels: the shipped network and miniatures of the full
+"""Exports that several tests share, each made once for small pictures: the shipped network and miniatures of the full
 one and of DepthSplat."""
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from pathlib import Path
 
 import onnx
 import pytest
+from few_blocks import little_full_network
 from few_pieces import few_pieces
 from filelock import FileLock
-from full_networks import miniature
 from miniature_depthsplat import miniature_depthsplat
 
 from gapmes.export.build import export_graph
@@ -21,6 +21,7 @@ from gapmes.model.network import GaPMeS
 from gapmes.model.weights_file import file_sha256
 
 SIZE = 64
+OBLONG = (48, 80)  # height and width
 
 
 @pytest.fixture(scope="session")
@@ -68,9 +69,10 @@ def _small_graph(checkpoint: Path) -> onnx.ModelProto:
 
 @pytest.fixture(scope="session")
 def miniature_graph(tmp_path_factory: pytest.TempPathFactory) -> onnx.ModelProto:
-    """The full trunk with miniature ViTs (`full_networks.miniature`) for 64 x 64 pixels; copy it before changing it."""
+    """The full trunk with miniature ViTs (`little_full_network`) for 48 x 80 pixels: in pictures that are not square no
+    height passes for a width. Copy it before changing it."""
     with few_pieces():
-        return _once("miniature.onnx", lambda: export_graph(miniature(), SIZE, SIZE), tmp_path_factory)
+        return _once("miniature.onnx", lambda: export_graph(little_full_network(), *OBLONG), tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,8 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from full_networks import VIT, miniature
+from few_blocks import little_full_network
+from full_networks import VIT
 from miniature_depthsplat import miniature_depthsplat
 
 from gapmes.export.build import export_graph
@@ -27,18 +28,18 @@ from gapmes.model.depthsplat.network import DepthSplat
 from gapmes.service.network.contract import INPUTS, REQUIRED_OUTPUTS
 from gapmes.service.network.engine import Engine
 
-SIZE = 64
+SIZE, OBLONG = 64, (48, 80)  # px: of a side, and height and width
 VIEWS = (2, 3, 4, 6)
 
 
-def cases() -> list[Case]:
-    made = [Case("random", "as trained", random_scene(views, SIZE, SIZE, seed=views)) for views in VIEWS]
-    half = Case("half masked", "as trained", hostile_scenes(2, SIZE, SIZE)["half masked"])
-    return [*made, half, Case("lenses", "as trained", lenses_scene(3, SIZE, SIZE, seed=23))]
+def cases(height: int, width: int) -> list[Case]:
+    made = [Case("random", "as trained", random_scene(views, height, width, seed=views)) for views in VIEWS]
+    half = Case("half masked", "as trained", hostile_scenes(2, height, width)["half masked"])
+    return [*made, half, Case("lenses", "as trained", lenses_scene(3, height, width, seed=23))]
 
 
-def check(model: onnx.ModelProto, network: Network) -> None:
-    results = verify(model, network, cases(), TOLERANCES["fp32"])
+def check(model: onnx.ModelProto, network: Network, height: int = SIZE, width: int = SIZE) -> None:
+    results = verify(model, network, cases(height, width), TOLERANCES["fp32"])
     assert [failure for result in results for failure in result.failures] == []
     assert len(results) == len(VIEWS) + 2
 
@@ -63,7 +64,7 @@ def test_depthsplat_that_matches_at_an_eighth_exports_too_with_every_switch_of_c
 
 
 def test_a_full_network_exports_with_a_number_of_views_that_is_not_baked_in(miniature_graph: onnx.ModelProto) -> None:
-    check(miniature_graph, miniature())
+    check(miniature_graph, little_full_network(), *OBLONG)
 
 
 def test_large_weights_lie_beside_the_graph_and_the_engine_reads_them(

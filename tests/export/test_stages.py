@@ -17,7 +17,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from full_networks import miniature
+from few_blocks import little_full_network
 from miniature_depthsplat import miniature_depthsplat
 from onnx.utils import Extractor
 
@@ -28,7 +28,7 @@ from gapmes.model.architectures import Network
 from gapmes.model.checkpoint import load_checkpoint
 from gapmes.service.network.contract import INPUTS
 
-SIZE, PATCHES = 64, 16
+SQUARE, OBLONG = (64, 64), (48, 80)  # height and width
 SAME = 1e-3  # of a tensor's largest value: what two runs in float32 differ by at most, and other tensors by far more
 
 
@@ -181,10 +181,11 @@ def part_of(model: onnx.ModelProto, run: dict[str, np.ndarray], given: list[str]
 
 @dataclasses.dataclass(frozen=True)
 class Exported:
-    """A network with its graph, and its stages by the names of their modules."""
+    """A network with its graph and the size of its pictures, and its stages by the names of their modules."""
 
     network: Network
     graph: onnx.ModelProto
+    size: tuple[int, int]
     stages: dict[str, Stage]
 
 
@@ -193,17 +194,17 @@ def exported(request: pytest.FixtureRequest) -> Exported:
     """The shipped network, and miniatures of preset `small` and of DepthSplat with random weights."""
     if request.param == "light trunk":
         network = load_checkpoint(request.getfixturevalue("checkpoint"))
-        return Exported(network, request.getfixturevalue("small_graph"), LIGHT)
+        return Exported(network, request.getfixturevalue("small_graph"), SQUARE, LIGHT)
     if request.param == "full trunk":
-        return Exported(miniature(), request.getfixturevalue("miniature_graph"), FULL)
-    return Exported(miniature_depthsplat(2, 4), request.getfixturevalue("depthsplat_graph"), DEPTHSPLAT)
+        return Exported(little_full_network(), request.getfixturevalue("miniature_graph"), OBLONG, FULL)
+    return Exported(miniature_depthsplat(2, 4), request.getfixturevalue("depthsplat_graph"), SQUARE, DEPTHSPLAT)
 
 
 @pytest.mark.case("B1")
 @pytest.mark.parametrize("views", [2, 4])
 def test_every_stage_is_near_to_float64_in_both_runtimes(exported: Exported, views: int) -> None:
     network, graph = exported.network, exported.graph
-    inputs = random_scene(views, SIZE, SIZE, seed=views)
+    inputs = random_scene(views, *exported.size, seed=views)
     feed = {name: value.numpy() for name, value in zip(INPUTS, inputs.tensors(), strict=True)}
     run = everything(graph, feed)
     narrow = watched(network, inputs.tensors(), exported.stages)

@@ -158,7 +158,8 @@ def test_kernels_are_loaded_after_the_network_and_once(reconstructor, plane_scen
         ["network", "refine", "gaussians", "fade", "leave out"],
     ):
         heard = []
-        reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, listener=heard.append)
+        given = {"near": 2, "far": 8, "leave_one_out": 0}
+        reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **given, listener=heard.append)
         ended = [e.name for e in heard if e.seconds is not None]
         assert ended[2 : 2 + len(expected)] == expected
 
@@ -185,8 +186,9 @@ def test_masked_pixels_and_patches_are_left_out_and_counted(reconstructor, plane
 def test_a_smaller_copy_of_the_photographs_gives_the_same_rays(reconstructor, plane_scene):
     """A camera file made for the originals goes with photographs of half the size."""
     doubled = [camera.resized(192, 144) for camera in plane_scene.cameras]
-    result = reconstructor.reconstruct(plane_scene.images, doubled, near=2, far=8, budget=KEEP_ALL)
-    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, budget=KEEP_ALL)
+    given = {"near": 2, "far": 8, "budget": KEEP_ALL, "leave_one_out": 0}
+    result = reconstructor.reconstruct(plane_scene.images, doubled, **given)
+    plain = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **given)
     np.testing.assert_array_equal(result.gaussians.means, plain.gaussians.means)
 
 
@@ -282,7 +284,7 @@ def test_each_photograph_is_foretold_by_the_others(reconstructor, plane_scene):
 @pytest.mark.parametrize("stride", [1, 2])
 def test_fading_lowers_opacities_of_pixels_and_says_so(reconstructor, plane_scene, stride):
     """What the network said of its views' agreement is told of the unfaded scene; what is gone is counted."""
-    given = {"near": 2.0, "far": 8.0, "budget": Budget(None, stride=stride)}
+    given = {"near": 2.0, "far": 8.0, "budget": Budget(None, stride=stride), "leave_one_out": 0}
     scenes = [reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **given, fade=n) for n in (0, 2, 1)]
     never, twice, once = (scene.document for scene in scenes)
     assert once["check"]["from_others"] == twice["check"]["from_others"]
@@ -305,7 +307,7 @@ def test_photographs_may_be_paths_or_bytes(reconstructor, plane_scene, tmp_path)
     paths = [tmp_path / f"{index}.png" for index in range(len(plane_scene.images))]
     for path, image in zip(paths, plane_scene.images, strict=True):
         Image.fromarray(image).save(path)
-    options = {"near": plane_scene.near, "far": plane_scene.far, "fade": 0}
+    options = {"near": plane_scene.near, "far": plane_scene.far, "fade": 0, "leave_one_out": 0}
     expected = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, **options).gaussians
     for given in (paths, [str(path) for path in paths], [path.read_bytes() for path in paths]):
         found = reconstructor.reconstruct(given, plane_scene.cameras, **options).gaussians
@@ -323,7 +325,7 @@ def test_numbers_that_are_too_few_are_refused(reconstructor, plane_scene):
 
 def test_a_definition_keeps_its_own_near_plane(reconstructor, plane_scene):
     """Else it would be silently another one; without one the picture begins at a tenth of the scene's near depth."""
-    scene = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8)
+    scene = reconstructor.reconstruct(plane_scene.images, plane_scene.cameras, near=2, far=8, leave_one_out=0)
     camera = scene.view_cameras[0]
     depths = camera.project(scene.gaussians.means)[1]
     between = Definition(near=float(np.median(depths)))

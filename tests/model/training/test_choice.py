@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 import pytest
@@ -23,6 +23,8 @@ from gapmes.service.mending.after_network import matched_depths
 from gapmes.service.mending.choice.candidates import ABOUT, COUNT, KNOWN, Candidates, Matched
 from gapmes.service.mending.choice.network import ChoiceNetwork
 from gapmes.service.photographs.images import FittedView
+
+SCENE = (3, 2)  # seed and number
 
 
 def made_up(count: int, seed: int) -> Samples:
@@ -48,30 +50,24 @@ def test_the_service_computes_what_was_trained() -> None:
 
 def test_it_learns_which_candidate_is_right_and_the_same_again() -> None:
     samples = made_up(8_000, 2)
-    networks = [choice.trained(samples, 7, 300).exported() for _ in range(2)]
+    networks = [choice.trained(samples, 7, 20).exported() for _ in range(2)]
     assert all((value == getattr(networks[1], name)).all() for name, value in vars(networks[0]).items())
-    found = choice.figures(networks[0], samples)
+    found = choice.figures(choice.trained(samples, 7, 300).exported(), samples)
     assert found["as it is"][1] < 0.2
     assert found["preferred"][1] > 0.9  # found: 0.98
     assert found["best"] == pytest.approx((0.1 / 1.6, 1.0), rel=1e-4)
 
 
-def test_samples_of_a_scene_have_their_shapes_and_are_the_same_again() -> None:
-    number = 2
-    reconstructor = Reconstructor(None, threads=1)
-    samples = scene_samples(reconstructor, 3, number)
-    again = scene_samples(reconstructor, 3, number)
-    assert samples is not None
-    assert again is not None
-    assert all((a == b).all() for a, b in zip(samples, again, strict=True))
-    assert 0 < samples.error.shape[1] <= 2 * PIXELS
-    assert samples.known.shape[:2] == (COUNT, KNOWN)
-    assert len(samples.about) == ABOUT
-    assert (samples.scene == number).all()
+class Drawn(NamedTuple):
+    """The samples of a scene, and the depths that its candidates were made from."""
+
+    reconstructor: Reconstructor
+    samples: Samples | None
+    depths: tuple[np.ndarray, ...]
 
 
-def test_candidates_are_those_of_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the order of `mending.py`: what is found, the network's own, that before planes."""
+@pytest.fixture(scope="module")
+def drawn() -> Drawn:
     heard: list[tuple[np.ndarray, ...]] = []
 
     class Listening(Matched):
@@ -79,13 +75,31 @@ def test_candidates_are_those_of_the_service(monkeypatch: pytest.MonkeyPatch) ->
             heard.append((depths, *others))
             super().__init__(views, depths, others)
 
-    monkeypatch.setattr(choice_data, "Matched", Listening)
     reconstructor = Reconstructor(None, threads=1)
-    scene_samples(reconstructor, 3, 2)
-    ((planed, network, matched),) = heard
-    batch = scene_batch(3, 2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choice_data, "Matched", Listening)
+        samples = scene_samples(reconstructor, *SCENE)
+    (depths,) = heard
+    return Drawn(reconstructor, samples, depths)
+
+
+def test_samples_of_a_scene_have_their_shapes_and_are_the_same_again(drawn: Drawn) -> None:
+    samples, again = drawn.samples, scene_samples(drawn.reconstructor, *SCENE)
+    assert samples is not None
+    assert again is not None
+    assert all((a == b).all() for a, b in zip(samples, again, strict=True))
+    assert 0 < samples.error.shape[1] <= 2 * PIXELS
+    assert samples.known.shape[:2] == (COUNT, KNOWN)
+    assert len(samples.about) == ABOUT
+    assert (samples.scene == SCENE[1]).all()
+
+
+def test_candidates_are_those_of_the_service(drawn: Drawn) -> None:
+    """In the order of `mending.py`: what is found, the network's own, that before planes."""
+    planed, network, matched = drawn.depths
+    batch = scene_batch(*SCENE)
     views, (near, far) = input_views(batch), map(float, batch.near_far[0])
-    outputs, frame, _ = reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
+    outputs, frame, _ = drawn.reconstructor.run_network(views, depth_range([view.camera for view in views], near, far))
     assert (network == frame.depths(outputs)).all()
     expected = matched_depths(views, network, 1)
     assert (matched == expected[0]).all()
@@ -93,6 +107,7 @@ def test_candidates_are_those_of_the_service(monkeypatch: pytest.MonkeyPatch) ->
     assert not (matched == planed).all()
 
 
+@cache
 def with_a_sky() -> SceneBatch:
     return next(batch for batch in map(partial(scene_batch, 5), range(30)) if batch.background[0, :2].mean() > 0.3)
 

@@ -45,6 +45,7 @@ def one_thread() -> None:
 def run_alone(folder: Path) -> None:
     """Run in a separate process."""
     one_thread()
+    loop.VALIDATION_SIZE = 64  # as in conftest.py
     run(SMALL, folder)
 
 
@@ -158,16 +159,18 @@ def test_the_loss_on_one_scene_falls(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(loop, "training_loss", recorded)
     plain = replace(SMALL, zoom_share=0.0, input_noise=0.0, withheld_until=0.0)  # every step the same task
-    shares: dict[str, list[float]] = {"mse": [], "depth": []}
+    # measured over sixteen seeds: colour error to 0.41-0.65 of the first, depth error to 0.29-0.53, and once to 0.72
+    limits = {"mse": 0.8, "depth": 0.6}
+    shares: dict[str, list[float]] = {name: [] for name in limits}
     for seed in (1, 2, 3):
+        if seed == 3 and all(value < limits[name] for name, values in shares.items() for value in values):
+            break  # the median of three is below, whatever the third is
         parts.clear()
         recipe = replace(plain, steps=30, seed=seed, phases=(Phase(1.0, (32,), 1, (2,), (0.2, 0.2)),))
         run(recipe, tmp_path / str(seed), validate_every=100, save_seconds=1e9)
         for name, values in shares.items():
             values.append(parts[-1][name] / parts[0][name])
-    # measured over sixteen seeds: colour error to 0.41-0.65 of the first, depth error to 0.29-0.53, and once to 0.72
-    assert median(shares["mse"]) < 0.8
-    assert median(shares["depth"]) < 0.6
+    assert all(median(values) < limits[name] for name, values in shares.items()), shares
 
 
 def test_fifty_steps_on_generated_scenes_teach_it(tmp_path: Path) -> None:

@@ -33,9 +33,8 @@ def trained_scenes():
     def reconstructed(views):
         photos = [decode_image(folder.image_paths[i].read_bytes(), index=i) for i in views]
         cameras = [folder.file.cameras[i] for i in views]
-        scene = reconstructor.reconstruct(
-            photos, cameras, near=folder.file.near, far=folder.file.far, budget=KEEP_ALL, trust_poses=True
-        )
+        given = {"near": folder.file.near, "far": folder.file.far, "budget": KEEP_ALL}
+        scene = reconstructor.reconstruct(photos, cameras, **given, trust_poses=True, leave_one_out=0)
         return scene, 0.1 * scene.document["near"]
 
     return reconstructed
