@@ -20,7 +20,9 @@ ERROR_GAIN = 3  # factor on absolute errors, most of which would be too dark to 
 def scene_sheet(case: Case, measured: Measured, model: str) -> Image.Image:
     """Rows of labelled pictures with their PSNR over all pixels; in the error, pixels that no input sees are blue."""
     best = measured.score.best_baseline
-    rows = [Row(f"{case.name}: inputs", [_cell(_eight_bit(v.image), f"input {i}") for i, v in enumerate(case.inputs)])]
+    numbers = case.numbers or range(len(case.inputs))
+    named = zip(case.inputs, numbers, strict=True)
+    rows = [Row(f"{case.name}: inputs", [_cell(_eight_bit(v.image), f"input, view {i}") for v, i in named])]
     for index, (target, mask) in enumerate(zip(case.targets, measured.masks, strict=True)):
         truth = _eight_bit(target.image)
         ours, theirs = (_eight_bit(measured.pictures[name][index]) for name in (model, best))

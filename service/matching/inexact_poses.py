@@ -37,7 +37,9 @@ class EpipolarResidual:
         return self.px > MOST_PX * unit or (self.px > LEAST_PX * unit and left < LEFT * self.px)
 
     def cause(self, one: int, other: int) -> str:
-        """The change of a camera that explains the most, the views being called `one` and `other`."""
+        """The change of a camera that explains the most, if it is half; the views are called `one` and `other`."""
+        if min(self.turned_px, self.zoomed_px) >= LEFT * self.px:
+            return "no turn and no focal length of one of them explains half of it"
         if self.zoomed_px >= LEFT * self.turned_px:
             return f"with one of them turned by {np.degrees(self.turn):.2g} degrees it would be {self.turned_px:.2f} px"
         shorter, longer = (one, other) if self.zoom > 0 else (other, one)
@@ -72,7 +74,10 @@ def inexact_poses(
             " and ".join(str(numbers[view]) for view in residual.pair) for residual in found if residual is not worst
         ]
         message += f"; the same of views {', '.join(others)}"
-    cure = "are poses and intrinsics exact, and those of these very photographs? refine them, for example with COLMAP"
+    cure = (
+        "are poses and intrinsics exact, and those of these very photographs, which show one scene and are sharp? "
+        "refine them, for example with COLMAP"
+    )
     if tried:
         cure += (
             f", as refine_poses could not altogether: it corrects up to {np.degrees(MOST_TURN):.0f} degrees, "
