@@ -17,7 +17,7 @@ from .matching.missed_depths import missed_depths
 from .matching.pair_matches import PairMatches
 from .matching.photo_checks import check_photos
 from .matching.refined_poses import refined_cameras
-from .matching.sharpness import less_sharp
+from .matching.sharpness import less_sharp, views_less_sharp
 from .network.model_info import ModelInfo
 from .photographs.fitting import FittedPhotos, Picture, fitted_photos
 from .photographs.rolled import quarter_turns, turned_photos
@@ -70,14 +70,14 @@ def prepared_inputs(
     planes = info.depth_planes or DEPTH_PLANES
     found = narrowed(depths, given.seen, planes)
     pairs = PairMatches(given.seen, found)
-    inexact = [] if doubts else doubted(pairs)
+    inexact = [] if doubts else doubted(pairs, views_less_sharp(pairs).keys())
     refined = refined_cameras(pairs, inexact, numbers) if refine_poses else None
     told: list[Notice] = []
     if refined is not None:
         given, told = given.with_cameras(refined[0]), [refined[1]]
         found = narrowed(depths, given.seen, planes)
         pairs = PairMatches(given.seen, found)
-        inexact = doubted(pairs)
+        inexact = doubted(pairs, views_less_sharp(pairs).keys())
     told += inexact_poses(pairs, inexact, numbers, tried=refine_poses)
     turned, exposure = equalised(given, pairs, numbers)
     warnings = [

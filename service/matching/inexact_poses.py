@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,12 +33,16 @@ class EpipolarResidual:
 
     def inexact(self, unit: float) -> bool:
         """Whether cameras are doubted, at `unit` times SIDE."""
-        left = min(self.turned_px, self.zoomed_px)
-        return self.px > MOST_PX * unit or (self.px > LEAST_PX * unit and left < LEFT * self.px)
+        return self.px > MOST_PX * unit or (self.px > LEAST_PX * unit and self.explained)
+
+    @property
+    def explained(self) -> bool:
+        """Whether one of the changes leaves less than half."""
+        return min(self.turned_px, self.zoomed_px) < LEFT * self.px
 
     def cause(self, one: int, other: int) -> str:
         """The change of a camera that explains the most, if it is half; the views are called `one` and `other`."""
-        if min(self.turned_px, self.zoomed_px) >= LEFT * self.px:
+        if not self.explained:
             return "no turn and no focal length of one of them explains half of it"
         if self.zoomed_px >= LEFT * self.turned_px:
             return f"with one of them turned by {np.degrees(self.turn):.2g} degrees it would be {self.turned_px:.2f} px"
@@ -89,10 +93,15 @@ def inexact_poses(
     return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
 
 
-def doubted(pairs: PairMatches) -> list[EpipolarResidual]:
-    """The residuals beyond noise."""
+def doubted(pairs: PairMatches, unsharp: Set[int] = frozenset()) -> list[EpipolarResidual]:
+    """The residuals beyond noise; of the views that are `unsharp`, whose matches are uncertain by as much, only those
+    that a change of a camera explains."""
     unit = _unit(pairs)
-    return [residual for residual in epipolar_residuals(pairs) if residual.inexact(unit)]
+    return [
+        residual
+        for residual in epipolar_residuals(pairs)
+        if residual.inexact(unit) and (residual.explained or unsharp.isdisjoint(residual.pair))
+    ]
 
 
 def _unit(pairs: PairMatches) -> float:

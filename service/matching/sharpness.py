@@ -1,7 +1,8 @@
 """Photographs with less fine detail than others have of the same surfaces: blurred, out of focus, or enlarged.
 
 Where photographs match, each one's sharpness is the ratio of contrast in a fine and in a coarse frequency band. Gain,
-tone curve and shading change both bands alike; blur reduces the fine one first.
+tone curve and shading change both bands alike; blur reduces the fine one first. Blur that leaves nothing of either is
+found in bands that are COARSER times as wide.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from .window_match import window_mean
 F64 = NDArray[np.float64]
 
 FINE, COARSE = 1, 4  # px, radii of box filters: the residual of the first is the fine band, their difference the coarse
+COARSER = 4  # times FINE and COARSE
 CALM = 0.05  # quantile of the matching cells whose power is taken for noise
 CONTRAST = 0.01  # of white: least contrast of the coarse band in both views
 LEAST_FINE = 1e-3  # of white, added to the fine contrast: smaller ones do not differ
@@ -36,19 +38,8 @@ def less_sharp(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
 
     `numbers` are what the caller calls the views.
     """
-    worst: dict[int, tuple[float, int]] = {}
-    bands = [_bands(view) for view in pairs.views]
-    for pair in pairs.nearest():
-        logs = _sharper(pairs, pair, bands)
-        if len(logs) < ENOUGH:
-            continue
-        median = float(np.median(logs))
-        if abs(median) <= LESS or (np.sign(logs) == np.sign(median)).mean() <= AGREED:
-            continue
-        view, other = pair if median < 0 else pair[::-1]
-        worst[view] = max(worst.get(view, (0.0, 0)), (abs(median), other))
     notices: list[Notice] = []
-    for view, (log, other) in sorted(worst.items()):
+    for view, (log, other) in sorted(views_less_sharp(pairs).items()):
         detail = round(float(np.exp(-log)), 3)
         message = (
             f"where photographs match, view {numbers[view]} has {detail:.0%} of the fine detail of view "
@@ -58,6 +49,25 @@ def less_sharp(pairs: PairMatches, numbers: Sequence[int]) -> list[Notice]:
         where: Notice = {"field": "images", "index": numbers[view], "detail": detail}
         notices.append({"code": "view_less_sharp", "message": f"{message} ({cure})", **where})
     return notices
+
+
+def views_less_sharp(pairs: PairMatches) -> dict[int, tuple[float, int]]:
+    """The views that `less_sharp` names, with the logarithm of how much sharper another one is, and that one."""
+    worst: dict[int, tuple[float, int]] = {}
+    bands = [_bands(view) for view in pairs.views]
+    for pair in pairs.nearest():
+        logs = _sharper(pairs, pair, bands)
+        if len(logs) < ENOUGH:
+            wide = {place: _bands(pairs.views[place], COARSER) for place in pair}
+            logs = _sharper(pairs, pair, [wide.get(place, other) for place, other in enumerate(bands)])
+        if len(logs) < ENOUGH:
+            continue
+        median = float(np.median(logs))
+        if abs(median) <= LESS or (np.sign(logs) == np.sign(median)).mean() <= AGREED:
+            continue
+        view, other = pair if median < 0 else pair[::-1]
+        worst[view] = max(worst.get(view, (0.0, 0)), (abs(median), other))
+    return worst
 
 
 def _sharper(pairs: PairMatches, pair: tuple[int, int], bands: Sequence[F64]) -> F64:
@@ -80,12 +90,12 @@ def _contrast(power: F64) -> F64:
     return np.sqrt(np.maximum(power - np.quantile(power, CALM, axis=0), 0.0))
 
 
-def _bands(view: FittedView) -> F64:
-    """(h, w, 2) mean power of the fine and the coarse band around each cell of the coarse view; NaN where any pixel
-    that contributes is masked."""
+def _bands(view: FittedView, times: int = 1) -> F64:
+    """(h, w, 2) mean power of the fine and the coarse band, so many `times` as wide, around each cell of the coarse
+    view; NaN where any pixel that contributes is masked."""
     grey = view.grey
-    fine, coarse = (window_mean(grey, radius) for radius in (FINE, COARSE))
+    fine, coarse = (window_mean(grey, times * radius) for radius in (FINE, COARSE))
     block = block_px(view)
-    whole = window_mean(block_means(window_mean(view.kept.astype(np.float64), COARSE), block), 1) > 1 - 1e-9
+    whole = window_mean(block_means(window_mean(view.kept.astype(np.float64), times * COARSE), block), 1) > 1 - 1e-9
     power = [window_mean(block_means(band**2, block), 1) for band in (grey - fine, fine - coarse)]
     return np.where(whole[..., None], np.stack(power, axis=-1), np.nan)

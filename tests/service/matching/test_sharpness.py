@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from sample_matches import sample
 from sample_photographs import FAR, NEAR, sample_cameras, sample_pixels
+from wrong_cameras import turned
 
 from gapmes.service.cameras.camera import Camera
 from gapmes.service.cameras.depth_range import DepthRange
+from gapmes.service.matching.inexact_poses import doubted
 from gapmes.service.matching.pair_matches import PairMatches
-from gapmes.service.matching.sharpness import less_sharp
+from gapmes.service.matching.sharpness import less_sharp, views_less_sharp
 from gapmes.service.photographs.images import FittedView
 from gapmes.service.reconstruct import Reconstructor
 
@@ -147,3 +149,20 @@ def test_a_reconstruction_tells_of_it(engine: Any) -> None:
     dull = Reconstructor(engine).reconstruct(pixels, cameras, near=NEAR, far=FAR, fade=0)
     codes = [[notice["code"] for notice in scene.document["warnings"]] for scene in (sharp, dull)]
     assert ["view_less_sharp" in each for each in codes] == [False, True]
+
+
+@pytest.mark.parametrize("px", [6.0, 8.0, 12.0])
+@pytest.mark.parametrize("which", [0, 1])
+def test_blur_that_leaves_no_detail_at_all_is_told_and_is_no_wrong_pose(which: int, px: float) -> None:
+    """Matches of a blurred photograph stand beside their lines by more than a pixel, which no turn explains."""
+    pairs = with_one(sample((1, 3)), which, lambda image: blurred(image, px))
+    (notice,) = less_sharp(pairs, (0, 1))
+    assert notice["index"] == which
+    assert notice["detail"] < 0.6
+    assert doubted(pairs, {which}) == []
+
+
+def test_a_wrong_pose_beside_blur_is_told_where_a_turn_explains_it() -> None:
+    pairs = turned(with_one(sample((1, 3)), 1, lambda image: blurred(image, 2.0)), 1, (1.0, 0.0, 0.0), 0.7)
+    assert views_less_sharp(pairs).keys() == {1}
+    assert [residual.pair for residual in doubted(pairs, {1})] == [(0, 1)]
