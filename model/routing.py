@@ -100,13 +100,13 @@ class Gates(nn.Module):
             clean = self.expert_gate(query)
             logits = self._perturbed(clean)
             index = top_k_lowest_first(logits, self.top_k)
-            soft = self._softmax(logits.gather(-1, index))  # Eq. 10 over S_i
+            soft = self.softmax(logits.gather(-1, index))  # Eq. 10 over S_i
             weight = hybrid_weights(soft, torch.sigmoid(self.expert_balance))
             balance_loss = _balance_loss(clean, index)
             margins.append(decisiveness(clean, self.top_k))
         if self.task_gate is not None and self.task_balance is not None:
             clean = self.task_gate(query)
-            soft = self._softmax(self._perturbed(clean))  # Eq. 10 over all tasks
+            soft = self.softmax(self._perturbed(clean))  # Eq. 10 over all tasks
             margins.append(decisiveness(clean, 1))
             task_weight = hybrid_weights(soft, torch.sigmoid(self.task_balance))
         margin = torch.stack(margins).amin(dim=0) if margins else None
@@ -118,7 +118,7 @@ class Gates(nn.Module):
             return logits + self.noise_scale * gumbel_noise(logits)
         return logits
 
-    def _softmax(self, logits: Tensor) -> Tensor:
+    def softmax(self, logits: Tensor) -> Tensor:
         """softmax(logits / tau); the largest is taken off first, so that dividing cannot overflow."""
         return torch.softmax((logits - logits.amax(-1, keepdim=True)) / self.temperature, dim=-1)
 

@@ -71,7 +71,7 @@ def huge_logits() -> Row:
         for temperature in (1e-3, 0.8, 1e3):
             logits = (scale * rng.uniform(-3, 3, (20, 4))).astype(np.float32)
             gates = Gates(4, 0, 1, temperature)
-            soft = gates._softmax(torch.from_numpy(logits)).detach().numpy()
+            soft = gates.softmax(torch.from_numpy(logits)).detach().numpy()
             simple = naive.softmax(logits, temperature)
             for row, ours, other in zip(logits, soft, simple, strict=True):
                 tau = mp.mpf(temperature)
