@@ -14,7 +14,7 @@ from .config import PRESETS, ModelConfig
 from .overflow import refuse_overflow
 from .pretrained.files import read_tensors
 from .pretrained.recognise import looks_like
-from .pretrained.safetensors_file import read_safetensors, read_safetensors_metadata
+from .pretrained.safetensors_file import NotSafetensors, read_safetensors, read_safetensors_metadata
 from .saved_tensors import save_tensors
 from .tensor_checks import refuse_non_finite, refuse_other_kinds
 from .weights_file import CheckpointError, some, why_no_file, wrapper_of
@@ -69,8 +69,10 @@ def _likely(path: Path) -> str:
     """What a file that is no checkpoint seems to be, as the end of a sentence; empty if unknown."""
     try:
         file = read_tensors(path)
+    except NotSafetensors:  # its caller says so
+        return ""
     except CheckpointError as error:
-        return "" if "cannot be read as safetensors" in str(error) else f"; {error}"
+        return f"; {error}"
     if set(file.set_aside) >= STATE_PARTS:
         return f"; it holds the state of a training: give {WEIGHTS} beside it, which has the averaged weights"
     own = _preset_of(file.tensors)

@@ -15,22 +15,26 @@ _LONGEST_HEADER = 100_000_000  # bytes, the limit of the format
 _AGAIN = "download or copy it again"
 
 
+class NotSafetensors(CheckpointError):
+    """A file that is not in the format, or damaged, or cannot be read for another reason."""
+
+
 def read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors and metadata. Raises `CheckpointError`."""
+    """Tensors and metadata. Raises `NotSafetensors`."""
     try:
         with safe_open(path, framework="pt", device="cpu") as file:
             return {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata() or {})  # noqa: SIM118
     except (OSError, SafetensorError) as error:
-        raise CheckpointError(unreadable(path, error)) from error
+        raise NotSafetensors(unreadable(path, error)) from error
 
 
 def read_safetensors_metadata(path: Path) -> dict[str, str]:
-    """The metadata alone. Raises `CheckpointError`."""
+    """The metadata alone. Raises `NotSafetensors`."""
     try:
         with safe_open(path, framework="pt") as file:
             return dict(file.metadata() or {})
     except (OSError, SafetensorError) as error:
-        raise CheckpointError(unreadable(path, error)) from error
+        raise NotSafetensors(unreadable(path, error)) from error
 
 
 def unreadable(path: Path, error: Exception) -> str:

@@ -110,6 +110,14 @@ def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
         load_checkpoint(path)
 
 
+def test_the_words_of_a_refusal_in_a_path_change_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "cannot be read as safetensors" / "net.onnx"
+    path.parent.mkdir()
+    path.write_bytes(b"\x08\x08\x12\x07")
+    with pytest.raises(CheckpointError, match=r"net\.onnx is an exported network"):
+        load_checkpoint(path)
+
+
 def test_the_state_of_a_training_is_told_from_its_weights(tmp_path: Path) -> None:
     network = tiny()
     optimiser = torch.optim.AdamW(network.parameters())
