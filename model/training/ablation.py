@@ -17,7 +17,6 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from gapmes.service.errors import InputError
 from gapmes.service.process.disk import replace_file
 
 from . import arguments as kinds
@@ -25,7 +24,7 @@ from .ablation_runs import VARIANTS, WIDE, Budget, Run, by_scene, run_in
 from .ablation_table import Scores, check_comparable, tables
 from .lpips import Lpips
 from .step import TensorBatch
-from .study import asked_lpips, check_page, fill_page, parse
+from .study import asked_lpips, carry_out, parse
 
 RESULT, TABLES = "ablation.json", "ablation.md"
 MARKER = "tables"  # of the page
@@ -195,22 +194,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME", help="variants")
     options = parse(parser, arguments)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    try:
-        if options.page:
-            check_page(options.page, MARKER)
+
+    def study() -> str:
         budget = Budget(steps=options.steps)
         ablate(options.out, options.only, options.seeds, budget, console, asked_lpips(options))
-        text = (options.out / TABLES).read_text(encoding="utf-8")
-        if options.page:
-            fill_page(options.page, text, MARKER)
-    except (ValueError, OSError, InputError) as error:
-        console.print(f"refused: {error}", markup=False)
-        return 1
-    except KeyboardInterrupt:
-        console.print("stopped; the same command goes on from here", markup=False)
-        return 130
-    console.print(f"\n{text}\nwritten: {options.out / RESULT}, {options.out / TABLES}", markup=False)
-    return 0
+        return (options.out / TABLES).read_text(encoding="utf-8")
+
+    def show(text: str) -> None:
+        console.print(f"\n{text}\nwritten: {options.out / RESULT}, {options.out / TABLES}", markup=False)
+
+    stopped = "the same command goes on from here"
+    return carry_out(study, show, page=options.page, marker=MARKER, console=console, stopped=stopped)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,6 @@ import torch
 from rich.console import Console
 from torch import Tensor, nn
 
-from gapmes.service.errors import InputError
-
 from ..checkpoint import load_checkpoint, shipped_checkpoint
 from ..experts import chosen_experts
 from ..network import GaPMeS
@@ -28,7 +26,7 @@ from . import arguments as kinds
 from .ablation_runs import WIDE, scene_scores
 from .ablation_table import SHOWN, Scores, cell, head, paired, row
 from .lpips import Lpips
-from .study import asked_lpips, check_page, fill_page, parse
+from .study import asked_lpips, carry_out, parse
 from .validation import validation_batches
 
 LARGEST = 512  # px; time and memory grow with the square, and nothing is trained at more than 256
@@ -150,9 +148,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--size", type=kinds.whole_number(32, LARGEST), default=128, help="px")
     options = parse(parser, arguments)
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    try:
-        if options.page:
-            check_page(options.page, MARKER)
+
+    def study() -> str:
         path = options.weights or shipped_checkpoint("tiny")
         model = load_checkpoint(path)
         if options.size % (step := model.config.size_step):
@@ -163,17 +160,10 @@ def main(arguments: list[str] | None = None) -> int:
             f"`{path.name}` on {scenes} at {options.size} px with a baseline of {WIDE[0]} to {WIDE[1]} "
             f"of {their} depth; the nearer input shown as it is has {found[WHOLE].copy_psnr.mean():.2f} dB there."
         )
-        text = table(found, caption)
-        if options.page:
-            fill_page(options.page, text, MARKER)
-    except (ValueError, OSError, InputError) as error:
-        console.print(f"refused: {error}", markup=False)
-        return 1
-    except KeyboardInterrupt:
-        console.print("stopped; nothing is kept", markup=False)
-        return 130
-    sys.stdout.write(text)
-    return 0
+        return table(found, caption)
+
+    stopped = "nothing is kept"
+    return carry_out(study, sys.stdout.write, page=options.page, marker=MARKER, console=console, stopped=stopped)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,16 @@
-"""What the commands that study the parts of the network share: options, threads, LPIPS, and the page that they fill."""
+"""What the commands that study the parts of the network share: options, threads, LPIPS, their page, exit statuses."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numba
 import torch
+from rich.console import Console
 
+from gapmes.service.errors import InputError
 from gapmes.service.process.disk import replace_file
 
 from . import arguments as kinds
@@ -36,6 +38,35 @@ def asked_lpips(options: argparse.Namespace) -> Lpips | None:
     holds others."""
     path = options.lpips or default_weights()
     return Lpips.load(path) if path else None
+
+
+def carry_out(
+    study: Callable[[], str],
+    show: Callable[[str], object],
+    *,
+    page: Path | None,
+    marker: str,
+    console: Console,
+    stopped: str,
+) -> int:
+    """Do the study, put the text that it returns between the markers of the page, if one is given, and show it.
+
+    Returns the exit status: 0 done; 1 refused, with the reason on the console; 130 interrupted, which `stopped` words.
+    """
+    try:
+        if page:
+            check_page(page, marker)
+        text = study()
+        if page:
+            fill_page(page, text, marker)
+    except (ValueError, OSError, InputError) as error:
+        console.print(f"refused: {error}", markup=False)
+        return 1
+    except KeyboardInterrupt:
+        console.print(f"stopped; {stopped}", markup=False)
+        return 130
+    show(text)
+    return 0
 
 
 def fill_page(page: Path, text: str, marker: str) -> None:
