@@ -38,14 +38,14 @@ _IN_REFINE = {
 }
 
 
-def load_depth_anything(features: DepthAnythingFeatures, source: str | Path, *, cache: Path | None = None) -> Fit:
+def load_depth_anything(features: DepthAnythingFeatures, source: str | Path) -> Fit:
     """Load Depth-Anything-V2 whole, encoder and head, strictly, and report on every tensor.
 
     `source` is a file, a folder or a hub name (see `resolve`). A `config.json` beside the weights is checked too: the
     first Depth-Anything and the metric models of the second have the same tensors and compute something else, which a
     bare `.pth` does not tell. Raises `CheckpointError`, and then `features` is unchanged.
     """
-    found = resolve(source, cache=cache)
+    found = resolve(source)
     report, tensors = fit_depth_anything(read_tensors(found.path), features.model)
     if found.config is not None:
         document, model = read_config(found.config), features.model
@@ -56,14 +56,12 @@ def load_depth_anything(features: DepthAnythingFeatures, source: str | Path, *, 
     return with_source(report, found)
 
 
-def fit_depth_anything(
-    file: TensorFile, model: DepthAnything, *, prefix: str | None = None
-) -> tuple[Fit, dict[str, Tensor]]:
-    """The report and the state dict for `model`; `prefix` is the encoder's, as of `find_vit`.
+def fit_depth_anything(file: TensorFile, model: DepthAnything) -> tuple[Fit, dict[str, Tensor]]:
+    """The report and the state dict for `model`.
 
     Raises `CheckpointError`: see `fit`; also for an encoder without a head.
     """
-    held = find_vit(file.path, file.tensors, prefix)
+    held = find_vit(file.path, file.tensors)
     refuse_variants(file.path, held)
     if not held.depth_head:
         raise CheckpointError(

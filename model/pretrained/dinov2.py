@@ -43,20 +43,17 @@ _IN_BLOCK_TRANSFORMERS_4 = {
 }
 
 
-def load_vit(
-    features: VitFeatures, source: str | Path, *, depth_encoder: bool = False, cache: Path | None = None
-) -> Fit:
+def load_vit(features: VitFeatures, source: str | Path, *, cache: Path | None = None) -> Fit:
     """Load a ViT's published weights strictly and report on every tensor.
 
-    `source` is a file, a folder or a hub name (see `resolve`). With `depth_encoder` the file may be a whole
-    Depth-Anything-V2, whose head is left out; without, such a file is refused, so that the two are not mixed up.
-    Raises `CheckpointError`, and then `features` is unchanged.
+    `source` is a file, a folder or a hub name (see `resolve`). Raises `CheckpointError`, also for a whole
+    Depth-Anything-V2, so that the two are not mixed up, and then `features` is unchanged.
 
     On the grid that the position embedding is stored for, the result is that of the publisher's code. On another grid,
     of n patches, that code samples the embedding as if there were n + 0.1, this one as n: `tests/parity`.
     """
     found = resolve(source, cache=cache)
-    report, tensors = fit_vit(read_tensors(found.path), features.vit, depth_encoder=depth_encoder)
+    report, tensors = fit_vit(read_tensors(found.path), features.vit)
     if found.config is not None:
         stated = vit_section(read_config(found.config))
         compare(found.config, stated, stated_of_vit(features.vit.config), "these weights are of another network")
@@ -64,16 +61,14 @@ def load_vit(
     return with_source(report, found)
 
 
-def fit_vit(
-    file: TensorFile, vit: Vit, *, depth_encoder: bool = False, prefix: str | None = None
-) -> tuple[Fit, dict[str, Tensor]]:
-    """The report and the state dict for `vit`; `prefix` as of `find_vit`.
+def fit_vit(file: TensorFile, vit: Vit) -> tuple[Fit, dict[str, Tensor]]:
+    """The report and the state dict for `vit`.
 
     Raises `CheckpointError`: see `fit`; also for variants of DINOv2 that this network is not.
     """
-    held = find_vit(file.path, file.tensors, prefix)
+    held = find_vit(file.path, file.tensors)
     refuse_variants(file.path, held)
-    if held.depth_head and not depth_encoder:
+    if held.depth_head:
         raise CheckpointError(
             f"{file.path} is {held.name}: it goes into the depth backbone; the semantic one takes DINOv2 itself, for "
             f"example facebook/dinov2-base"
@@ -84,10 +79,7 @@ def fit_vit(
             parts = vit_parts(held, source)
             if parts is not None or held.prefix != held.root:
                 return parts
-        beside = source.removeprefix(held.root)
-        if held.depth_head and beside.startswith(("depth_head.", "neck.", "head.")):
-            return LeftOut("depth head, only the encoder is wanted")
-        if beside.startswith(("classifier.", "linear_head.")):
+        if source.removeprefix(held.root).startswith(("classifier.", "linear_head.")):
             return LeftOut("linear classifier on top of the ViT")
         return None
 

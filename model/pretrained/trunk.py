@@ -17,10 +17,10 @@ PARTS = ("backbone.", "transformer.")
 ROOTS = ("encoder.depth_predictor.", "depth_predictor.", "")  # DepthSplat whole, its depth alone, UniMatch
 
 
-def load_trunk(trunk: nn.Module, source: str | Path, *, cache: Path | None = None) -> Fit:
+def load_trunk(trunk: nn.Module, source: str | Path) -> Fit:
     """Load CNN and transformer strictly; what else the file holds is named in the report. Raises `CheckpointError`,
     and then `trunk` is unchanged."""
-    found = resolve(source, cache=cache)
+    found = resolve(source)
     file = read_tensors(found.path)
     wrapper = wrapper_of(file.tensors)
     roots = [wrapper + part for part in ROOTS if any(n.startswith(wrapper + part + PARTS[0]) for n in file.tensors)]
