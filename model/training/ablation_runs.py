@@ -24,6 +24,7 @@ from .precision import bfloat16_is_fast
 from .recipe import Phase, Recipe
 from .run_folder import LOG, WEIGHTS
 from .step import TensorBatch
+from .training_run import TrainingRun
 from .validation import validate, validation_batches
 
 # fields of the configuration that a variant changes; the complete model has tau 0.8, six experts and top 2
@@ -130,7 +131,7 @@ class Run:
         every = max(1, self.budget.steps // self.budget.log_rows)
         # the small validation of the log is for watching only, the scores come from `batches`
         recipe = self.budget.recipe(self.seed)
-        model = train(self.config, recipe, self.folder, validate_every=every, validation_scenes=2)
+        model = train(TrainingRun(self.config, recipe, self.folder, validate_every=every, validation_scenes=2))
         scores = scene_scores(model, batches, float(read_rows(self.folder / LOG)[-1]["minutes"]), lpips)
         self._keep(scores)
         return scores

@@ -18,10 +18,11 @@ from ..pretrained.sources import resolve
 from ..weights_file import CheckpointError
 from . import arguments as kinds
 from .log_rows import read_rows
-from .loop import SAVE_SECONDS, train
-from .recipe import RECIPES, Recipe
+from .loop import train
+from .recipe import RECIPES
 from .run_folder import LOG, STATE, WEIGHTS, Refused
 from .start import check_start, seeds_of
+from .training_run import SAVE_SECONDS, TrainingRun
 from .workers import Worker, run_workers
 
 BEGINS_ANEW = f"begins anew: it saves a state every {SAVE_SECONDS:.0f} s, and had saved none"
@@ -44,6 +45,31 @@ PARTS = (
 
 
 def main(arguments: list[str] | None = None) -> int:
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    run = _asked(parser, options)
+    try:
+        _check_sources(run, options.quiet)
+    except CheckpointError as error:
+        parser.error(str(error))
+    try:
+        run_workers(options.processes, options.threads, _train, run, options.quiet)
+    except (Refused, CheckpointError, OSError) as error:
+        sys.stderr.write(f"refused: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        saved = (run.folder / STATE).is_file()
+        sys.stderr.write(f"stopped; the same command {'goes on from the last state' if saved else BEGINS_ANEW}\n")
+        return 130
+    if options.json:
+        log = run.folder / LOG
+        rows = read_rows(log) if log.is_file() else []  # a run of no steps has none
+        last = rows[-1] if rows else None
+        sys.stdout.write(json.dumps({"weights": str(run.folder / WEIGHTS), "last": last}) + "\n")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m gapmes.model.training", description=__doc__)
     parser.add_argument("out", type=kinds.folder, help="folder of the run; an interrupted run continues from it")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="tiny")
@@ -76,13 +102,40 @@ def main(arguments: list[str] | None = None) -> int:
     for part in PARTS:
         text = f"{part.help} for a preset with frozen parts: a file, a folder or a hub name"
         parser.add_argument(f"--{part.name}-weights", metavar="SOURCE", help=text)
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def _asked(parser: argparse.ArgumentParser, options: argparse.Namespace) -> TrainingRun:
+    """The run that the options describe. Options that do not go together are wrong usage."""
     config = preset(
         options.preset,
         without_depth=options.without_depth,
         without_experts=options.without_experts,
         without_tasks=options.without_tasks,
     )
+    backbones = _backbones(parser, options, config)
+    chosen = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
+    recipe = replace(RECIPES[options.recipe], **chosen)
+    if options.scenes is not None:
+        recipe = recipe.with_scenes(options.scenes)
+    if uneven := recipe.not_shared_by(options.processes):
+        parser.error(f"argument --processes: {uneven}")
+    return TrainingRun(
+        config,
+        recipe,
+        options.out,
+        validate_every=options.validate_every,
+        device=options.device,
+        backbones=backbones,
+        initial=options.initial_weights,
+        loaders=options.loaders,
+    )
+
+
+def _backbones(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, config: ModelConfig
+) -> BackboneSources | None:
+    """The published weights of the frozen parts, which a run needs that does not start from weights of ours."""
     sources = {part.name: getattr(options, f"{part.name}_weights") for part in PARTS}
     frozen = [part.name for part in PARTS if part.name != "depth" or not config.without_depth]
     start = options.initial_weights
@@ -98,79 +151,28 @@ def main(arguments: list[str] | None = None) -> int:
         if start is not None:
             parser.error(f"{start} carries its frozen parts: leave out --{extra[0]}-weights")
         parser.error(f"preset {config.preset} has no such frozen part: leave out --{extra[0]}-weights")
-    backbones = BackboneSources(**sources) if needed else None
-    chosen = {name: value for name in ("steps", "seed") if (value := getattr(options, name)) is not None}
-    recipe = replace(RECIPES[options.recipe], **chosen)
-    if options.scenes is not None:
-        recipe = recipe.with_scenes(options.scenes)
-    if uneven := recipe.not_shared_by(options.processes):
-        parser.error(f"argument --processes: {uneven}")
-    try:
-        for source in sources.values():
+    return BackboneSources(**sources) if needed else None
+
+
+def _check_sources(run: TrainingRun, quiet: bool) -> None:
+    """Before processes start and there is a folder. Raises `CheckpointError` for weights that are not there, and for
+    weights to start from that do not fit; says so when these have seen the run's scenes."""
+    if run.backbones is not None:
+        for part in PARTS:
+            source = getattr(run.backbones, part.name)
             if source is not None:
-                resolve(source)  # before processes start: what is not there is wrong usage
-        if start is not None:
-            check_start(start, config)
-            load_checkpoint(start)  # before there is a folder: tensors that are none are wrong usage too
-            if recipe.seed in seeds_of(read_metadata(start)) and not options.quiet:
-                sys.stderr.write(f"{start} was trained with seed {recipe.seed}: another --seed draws other scenes\n")
-    except CheckpointError as error:
-        parser.error(str(error))
-    try:
-        run_workers(
-            options.processes,
-            options.threads,
-            _train,
-            config,
-            recipe,
-            options.out,
-            options.validate_every,
-            options.device,
-            backbones,
-            start,
-            options.loaders,
-            options.quiet,
-        )
-    except (Refused, CheckpointError, OSError) as error:
-        sys.stderr.write(f"refused: {error}\n")
-        return 1
-    except KeyboardInterrupt:
-        saved = (options.out / STATE).is_file()
-        sys.stderr.write(f"stopped; the same command {'goes on from the last state' if saved else BEGINS_ANEW}\n")
-        return 130
-    if options.json:
-        log = options.out / LOG
-        rows = read_rows(log) if log.is_file() else []  # a run of no steps has none
-        last = rows[-1] if rows else None
-        sys.stdout.write(json.dumps({"weights": str(options.out / WEIGHTS), "last": last}) + "\n")
-    return 0
+                resolve(source)
+    if run.initial is not None:
+        check_start(run.initial, run.config)
+        load_checkpoint(run.initial)  # tensors that are none are wrong usage too
+        seed = run.recipe.seed
+        if seed in seeds_of(read_metadata(run.initial)) and not quiet:
+            sys.stderr.write(f"{run.initial} was trained with seed {seed}: another --seed draws other scenes\n")
 
 
-def _train(
-    worker: Worker,
-    config: ModelConfig,
-    recipe: Recipe,
-    folder: Path,
-    validate_every: int,
-    device: str,
-    backbones: BackboneSources | None,
-    initial: Path | None,
-    loaders: int,
-    quiet: bool,
-) -> None:
+def _train(worker: Worker, run: TrainingRun, quiet: bool) -> None:
     level = logging.INFO if worker.leads and not quiet else logging.WARNING
     with ProgressBars(quiet=quiet or not worker.leads) as bars:
         logging.basicConfig(level=level, format="%(asctime)s %(message)s", stream=sys.stderr)  # above the bar
-        train(
-            config,
-            recipe,
-            folder,
-            validate_every=validate_every,
-            device=device,
-            worker=worker,
-            backbones=backbones,
-            initial=initial,
-            loaders=loaders,
-            listener=bars,
-        )
-        logging.getLogger(__name__).info("weights: %s", folder / WEIGHTS)
+        train(run, worker=worker, listener=bars)
+        logging.getLogger(__name__).info("weights: %s", run.folder / WEIGHTS)

@@ -8,7 +8,7 @@ import logging
 import math
 import time
 from contextlib import closing, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -16,10 +16,9 @@ from torch import Tensor
 
 from gapmes.service.progress import Listener, Stage, silent
 
-from ..config import ModelConfig
 from ..network import GaPMeS
 from ..overflow import overflow
-from ..pretrained.backbones import RECORD, BackboneSources, load_backbones
+from ..pretrained.backbones import RECORD, load_backbones
 from ..weights_file import file_sha256
 from .ahead import drawn_steps
 from .precision import bfloat16_is_fast, use_bfloat16
@@ -38,128 +37,79 @@ from .run_folder import (
 from .start import started
 from .step import TensorBatch, training_loss
 from .step_scenes import StepScenes
+from .training_run import TrainingRun
 from .validation import validate, validation_batches
 from .workers import Worker
 
 log = logging.getLogger(__name__)
 
-SAVE_SECONDS = 120.0  # between two states: what an interrupt can cost
 VALIDATION_SIZE = 128  # px
 STEPS, SKIPPED = "steps", "skipped"  # counts among the sums of what the log gives means of
 
 
+@dataclass(frozen=True)
+class _Networks:
+    """What training changes."""
+
+    model: GaPMeS
+    average: GaPMeS  # of the weights; frozen parts are shared
+    trained: list[torch.nn.Parameter]  # those of the model that are not frozen
+    optimiser: torch.optim.Optimizer
+
+
 def train(
-    config: ModelConfig,
-    recipe: Recipe,
-    folder: Path,
+    run: TrainingRun,
     *,
-    validate_every: int = 250,
-    validation_scenes: int = 12,
-    save_seconds: float = SAVE_SECONDS,
-    device: torch.device | str = "cpu",
     worker: Worker = Worker(),  # noqa: B008 - a frozen value
-    backbones: BackboneSources | None = None,
-    initial: Path | None = None,
-    loaders: int = 0,
     listener: Listener = silent,
 ) -> GaPMeS:
-    """Run the recipe to its end in `folder`, or continue the run that is there; returns the averaged weights.
+    """Run the recipe to its end in the run's folder, or continue the run that is there; returns the averaged weights.
 
     All random numbers of a step follow from (seed, step, worker), so that a resumed run repeats an uninterrupted one.
 
     Args:
-        backbones: published weights for the frozen parts of a preset that has them.
-        initial: checkpoint of this configuration to start from, frozen parts included, instead of random weights.
         worker: this process among those that divide the scenes of each step; only the first returns the average.
-        loaders: number of processes, for each worker, that generate scenes ahead; changes nothing but the time.
         listener: is called at every step.
 
     Raises:
-        Refused: the workers cannot share the scenes evenly, `folder` holds another run (recipe, start, kind of device,
-            number of workers or threads, ...), or its state or log is damaged.
-        CheckpointError: `initial` has another configuration.
-        ValueError: an interval or a number of scenes below 1; both `backbones` and `initial`.
+        Refused: the workers cannot share the scenes evenly, the folder holds another run (recipe, start, kind of
+            device, number of workers or threads, ...), or its state or log is damaged.
+        CheckpointError: the weights to start from have another configuration.
     """
-    for name, value in (("validate_every", validate_every), ("validation_scenes", validation_scenes)):
-        if value < 1:
-            raise ValueError(f"{name} is {value}, need at least 1")
-    if backbones is not None and initial is not None:
-        raise ValueError("backbones: the weights to start from carry the frozen parts already; give one of both")
-    if uneven := recipe.not_shared_by(worker.count):
+    if uneven := run.recipe.not_shared_by(worker.count):
         raise Refused(f"processes: {uneven}")
-    with claimed(folder) if worker.leads else nullcontext():
-        return _run(
-            config,
-            recipe,
-            folder,
-            validate_every,
-            validation_scenes,
-            save_seconds,
-            device,
-            worker,
-            backbones,
-            initial,
-            loaders,
-            listener,
-        )
+    with claimed(run.folder) if worker.leads else nullcontext():
+        return _run(run, worker, listener)
 
 
-def _run(
-    config: ModelConfig,
-    recipe: Recipe,
-    folder: Path,
-    validate_every: int,
-    validation_scenes: int,
-    save_seconds: float,
-    device: torch.device | str,
-    worker: Worker,
-    backbones: BackboneSources | None,
-    initial: Path | None,
-    loaders: int,
-    listener: Listener,
-) -> GaPMeS:
+def _run(run: TrainingRun, worker: Worker, listener: Listener) -> GaPMeS:
+    recipe, folder = run.recipe, run.folder
     torch.manual_seed(recipe.seed)
-    model = started(config, recipe, initial)
-    fits = {} if backbones is None else load_backbones(model, backbones)
+    model = started(run.config, recipe, run.initial)
+    fits = {} if run.backbones is None else load_backbones(model, run.backbones)
     for part, report in fits.items():
         log.info("%s: %s: %s", part, report.path, "; ".join(report.summary()))
-    model = model.to(device).train()
-    frozen = [p for p in model.parameters() if not p.requires_grad]
-    average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)  # frozen parts are shared
-    bfloat16 = bfloat16_is_fast(device)
-    if bfloat16:
-        use_bfloat16(model)
-    trained = [p for p in model.parameters() if p.requires_grad]
-    optimiser = torch.optim.AdamW(trained, lr=recipe.learning_rate, betas=(0.9, 0.98), weight_decay=recipe.weight_decay)
-    identity: dict[str, str | None] = {
-        "revision": REVISION,
-        "config": config.to_json(),
-        "recipe": json.dumps(asdict(recipe), sort_keys=True),
-        "backbones": _sums(model.provenance.get(RECORD)),  # the state lacks the frozen parts
-        "initial": None if initial is None else file_sha256(initial),
-        "device": torch.device(device).type,  # the gates' noise depends on it
-        "precision": "bfloat16" if bfloat16 else "float32",
-        "process count": str(worker.count),  # each draws its own noise, and whether evidence is withheld
-        "thread count": str(torch.get_num_threads()),  # it decides the order of summation
-    }
-    start, seconds, sums = restore_state(folder, identity, model, average, optimiser)
-    held_out: dict[str, list[TensorBatch]] = {}
+    networks = _networks(model, run)
+    model, average = networks.model, networks.average
+    identity = _identity(run, worker, model)
+    start, seconds, sums = restore_state(folder, identity, model, average, networks.optimiser)
     if worker.leads:
         forget_rows_after(folder, start)
         for part, report in fits.items():
             report.write(folder / f"{part}.checkpoint.json")
-    if worker.leads and start < recipe.steps:
-        held_out = {
-            "wide": validation_batches(VALIDATION_SIZE, validation_scenes, (0.18, 0.5)),
-            "narrow": validation_batches(VALIDATION_SIZE, max(1, validation_scenes // 2), (0.06, 0.15)),
-        }
+    held_out = _held_out(run.validation_scenes) if worker.leads and start < recipe.steps else {}
     counts = model.trainable_parameters(), sum(p.numel() for p in model.parameters())
     log.info("%d of %d parameters trained, step %d of %d", *counts, start, recipe.steps)
+
+    def save(step: int, elapsed: float) -> None:
+        progress: dict[str, object] = {**identity, "step": step, "seconds": elapsed, "sums": sums}
+        save_state(folder, progress, model, average, networks.optimiser)
+
     clock = last_save = time.monotonic()
     steps = range(start, recipe.steps)
-    with closing(drawn_steps(recipe, steps, worker, loaders)) as coming:
+    with closing(drawn_steps(recipe, steps, worker, run.loaders)) as coming:
         for step in steps:
-            rate, parts = _step(model, optimiser, trained, recipe, step, next(coming), worker)  # frees the batch
+            rate, parts = _step(networks, recipe, step, next(coming), worker)  # frees the batch
             if not worker.leads:
                 continue
             listener(Stage("train", step + 1, recipe.steps))
@@ -168,21 +118,56 @@ def _run(
                 sums[key] = sums.get(key, 0.0) + value
             now = time.monotonic()
             last = step + 1 == recipe.steps
-            if last or (step + 1) % validate_every == 0:
+            if last or (step + 1) % run.validate_every == 0:
                 elapsed = seconds + now - clock
                 figures = {name: validate(average, batches) for name, batches in held_out.items()}
                 _report(folder, step + 1, recipe, elapsed, rate, sums, figures)
                 sums = {}
-            if last or now - last_save > save_seconds:
-                elapsed = seconds + time.monotonic() - clock
-                progress: dict[str, object] = {**identity, "step": step + 1, "seconds": elapsed, "sums": sums}
-                save_state(folder, progress, model, average, optimiser)
+            if last or now - last_save > run.save_seconds:
+                save(step + 1, seconds + time.monotonic() - clock)
                 last_save = time.monotonic()
     if worker.leads and not (folder / STATE).is_file():  # zero steps: mark the folder as this run's
-        save_state(folder, {**identity, "step": start, "seconds": seconds, "sums": sums}, model, average, optimiser)
+        save(start, seconds)
     elif worker.leads:
         save_weights(folder, average, recipe.steps)
     return average.eval()
+
+
+def _networks(model: GaPMeS, run: TrainingRun) -> _Networks:
+    """The network on the run's device, ready to train, and its average, which stays in float32."""
+    model = model.to(run.device).train()
+    frozen = [p for p in model.parameters() if not p.requires_grad]
+    average = copy.deepcopy(model, {id(p): p for p in frozen}).requires_grad_(False)
+    if bfloat16_is_fast(run.device):
+        use_bfloat16(model)
+    trained = [p for p in model.parameters() if p.requires_grad]
+    rate, decay = run.recipe.learning_rate, run.recipe.weight_decay
+    return _Networks(
+        model, average, trained, torch.optim.AdamW(trained, lr=rate, betas=(0.9, 0.98), weight_decay=decay)
+    )
+
+
+def _identity(run: TrainingRun, worker: Worker, model: GaPMeS) -> dict[str, str | None]:
+    """What a run that goes on from a state must have in common with the one that saved it."""
+    return {
+        "revision": REVISION,
+        "config": run.config.to_json(),
+        "recipe": json.dumps(asdict(run.recipe), sort_keys=True),
+        "backbones": _sums(model.provenance.get(RECORD)),  # the state lacks the frozen parts
+        "initial": None if run.initial is None else file_sha256(run.initial),
+        "device": torch.device(run.device).type,  # the gates' noise depends on it
+        "precision": "bfloat16" if bfloat16_is_fast(run.device) else "float32",
+        "process count": str(worker.count),  # each draws its own noise, and whether evidence is withheld
+        "thread count": str(torch.get_num_threads()),  # it decides the order of summation
+    }
+
+
+def _held_out(scenes: int) -> dict[str, list[TensorBatch]]:
+    """The scenes that validation looks at, by how far apart their inputs are."""
+    return {
+        "wide": validation_batches(VALIDATION_SIZE, scenes, (0.18, 0.5)),
+        "narrow": validation_batches(VALIDATION_SIZE, max(1, scenes // 2), (0.06, 0.15)),
+    }
 
 
 def _sums(record: str | None) -> str | None:
@@ -193,18 +178,13 @@ def _sums(record: str | None) -> str | None:
 
 
 def _step(
-    model: GaPMeS,
-    optimiser: torch.optim.Optimizer,
-    trained: list[torch.nn.Parameter],
-    recipe: Recipe,
-    step: int,
-    scenes: StepScenes,
-    worker: Worker,
+    networks: _Networks, recipe: Recipe, step: int, scenes: StepScenes, worker: Worker
 ) -> tuple[float, dict[str, float]]:
     """One update of the weights; the learning rate, and what to add up for the log.
 
     A step whose loss or gradient is not finite, in any process, changes no weights, and only its number is logged.
     """
+    model, optimiser, trained = networks.model, networks.optimiser, networks.trained
     rate = recipe.learning_rate_at(step)
     for group in optimiser.param_groups:
         group["lr"] = rate

@@ -22,6 +22,7 @@ from gapmes.model.training import command
 from gapmes.model.training.command import main as train_command
 from gapmes.model.training.recipe import FINISH, Recipe
 from gapmes.model.training.run_folder import WEIGHTS
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.trunk import LightTrunk
 from gapmes.model.weights_file import CheckpointError
 
@@ -169,16 +170,16 @@ def test_weights_to_start_from_are_checked_before_anything_is_done(
 
 
 def test_the_command_takes_recipe_steps_and_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[tuple[object, ...]] = []
-    monkeypatch.setattr(command, "run_workers", lambda *arguments: given.append(arguments))
+    given: list[TrainingRun] = []
+    monkeypatch.setattr(command, "run_workers", lambda _count, _threads, _work, run, _quiet: given.append(run))
     start = shipped_checkpoint("tiny")
     train_command([str(tmp_path), "--recipe", "finish", "--initial-weights", str(start), "--seed", "5"])
     train_command([str(tmp_path), "--steps", "7"])
-    finish, whole = (next(x for x in arguments if isinstance(x, Recipe)) for arguments in given)
-    assert finish == replace(FINISH, seed=5)
-    assert whole == replace(Recipe(), steps=7)
-    assert start in given[0]
-    assert start not in given[1]
+    finish, whole = given
+    assert finish.recipe == replace(FINISH, seed=5)
+    assert whole.recipe == replace(Recipe(), steps=7)
+    assert finish.initial == start
+    assert whole.initial is None
 
 
 def test_weights_that_are_not_there_are_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

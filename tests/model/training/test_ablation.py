@@ -28,6 +28,7 @@ from gapmes.model.training.ablation_table import (
     with_tables,
 )
 from gapmes.model.training.lpips import Lpips
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.weights_file import CheckpointError
 
 SMALL = Budget(steps=2, size=32, training_scenes=1, validation_scenes=2, log_rows=2)
@@ -206,12 +207,11 @@ def test_the_documented_page_can_be_filled_and_names_every_variant() -> None:
 def test_an_interrupted_study_resumes_and_repeats_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real, trained = ablation_runs.train, []
 
-    def counted(config: ModelConfig, *arguments: object, **options: object) -> object:
-        if len(trained) == 1:
-            trained.append(config)
+    def counted(run: TrainingRun) -> object:
+        trained.append(run.config)
+        if len(trained) == 2:
             raise KeyboardInterrupt
-        trained.append(config)
-        return real(config, *arguments, **options)
+        return real(run)
 
     monkeypatch.setattr(ablation_runs, "train", counted)
     with pytest.raises(KeyboardInterrupt):

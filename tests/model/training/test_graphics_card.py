@@ -20,6 +20,7 @@ from gapmes.model.training.precision import bfloat16_is_fast, use_bfloat16
 from gapmes.model.training.recipe import Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors, training_loss
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.training.validation import validate, validation_batches
 from gapmes.model.training.workers import Worker, run_workers
 
@@ -108,15 +109,17 @@ def test_validation_figures_are_those_of_the_processor() -> None:
 def _train(worker: Worker, folder: Path, device: str, loaders: int = 0) -> None:
     torch.backends.cudnn.allow_tf32 = False  # in a process of its own, too
     loop.train(
-        PLAIN,
-        SHORT,
-        folder,
-        validate_every=4,
-        validation_scenes=1,
-        save_seconds=0.0,
-        device=device,
+        TrainingRun(
+            PLAIN,
+            SHORT,
+            folder,
+            validate_every=4,
+            validation_scenes=1,
+            save_seconds=0.0,
+            device=device,
+            loaders=loaders,
+        ),
         worker=worker,
-        loaders=loaders,
     )
 
 

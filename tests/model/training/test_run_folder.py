@@ -16,6 +16,7 @@ from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
 from gapmes.model.training.recipe import Phase
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.training.workers import Worker
 
 
@@ -40,7 +41,7 @@ def test_a_run_of_another_number_of_processes_is_not_continued(tmp_path: Path) -
     two = replace(SMALL, steps=1, phases=(Phase(1.0, (32,), 2, (2,), (0.1, 0.4)),))
     run(two, tmp_path)
     with pytest.raises(run_folder.Refused, match="another process count: 1, asked for 2; go on with what"):
-        loop.train(preset("tiny"), two, tmp_path, worker=Worker(0, 2))
+        loop.train(TrainingRun(preset("tiny"), two, tmp_path), worker=Worker(0, 2))
 
 
 def test_a_run_of_another_number_of_threads_is_not_continued(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop, run_folder
 from gapmes.model.training.recipe import Phase, Recipe
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.training.workers import Worker
 
 THREE = replace(SMALL, steps=3, phases=(Phase(1.0, (32,), 1, (2,), (0.1, 0.4)),))
@@ -41,7 +42,10 @@ def trained(folder: Path, spoil: Spoiled, patch: pytest.MonkeyPatch, worker: Wor
         return found, parts if bool(torch.isfinite(found)) else dict.fromkeys(parts, math.nan)
 
     patch.setattr(loop, "training_loss", spoiled)
-    loop.train(preset("tiny"), THREE, folder, validate_every=3, validation_scenes=1, save_seconds=1e9, worker=worker)
+    loop.train(
+        TrainingRun(preset("tiny"), THREE, folder, validate_every=3, validation_scenes=1, save_seconds=1e9),
+        worker=worker,
+    )
     state = run_folder.read_state(folder / run_folder.STATE)
     weights.append(state["model"])
     assert all(bool(torch.isfinite(value).all()) for value in state["average"].values())
@@ -80,7 +84,7 @@ def test_means_are_those_of_the_steps_that_count(tmp_path: Path, monkeypatch: py
         return loss + bad, {"mse": 0.01 + bad, "depth": 0.5 + bad}
 
     monkeypatch.setattr(loop, "training_loss", constant)
-    loop.train(preset("tiny"), THREE, tmp_path, validate_every=3, validation_scenes=1, save_seconds=1e9)
+    loop.train(TrainingRun(preset("tiny"), THREE, tmp_path, validate_every=3, validation_scenes=1, save_seconds=1e9))
     assert row_of(tmp_path) == {"depth": 0.5, "gradient_norm": 4.0, "skipped": 0.33333, "psnr": 20.0}
 
 
@@ -116,15 +120,15 @@ def test_a_loss_that_is_not_finite_in_one_process_is_skipped_by_all(
 def test_a_run_on_another_kind_of_device_is_not_continued(tmp_path: Path) -> None:
     """A graphics card draws other noise for the gates from the same seed."""
     one = replace(THREE, steps=1)
-    loop.train(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1)
+    loop.train(TrainingRun(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1))
     path = tmp_path / run_folder.STATE
     torch.save(run_folder.read_state(path) | {"device": "cuda"}, path)
     with pytest.raises(run_folder.Refused, match="another device: cuda, asked for cpu; go on with what it began with"):
-        loop.train(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1)
+        loop.train(TrainingRun(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1))
 
 
 @pytest.mark.parametrize("name", ["validate_every", "validation_scenes"])
 def test_a_run_that_could_not_be_validated_is_refused_before_it_begins(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"{name} is 0, need at least 1"):
-        loop.train(preset("tiny"), THREE, tmp_path / "run", **{name: 0})
+        loop.train(TrainingRun(preset("tiny"), THREE, tmp_path / "run", **{name: 0}))
     assert not (tmp_path / "run").exists()

@@ -17,6 +17,7 @@ from gapmes.model.training.loop import train
 from gapmes.model.training.recipe import Recipe
 from gapmes.model.training.run_folder import WEIGHTS
 from gapmes.model.training.start import BEGUN, SEEDS, seeds_of, started
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.weights_file import file_sha256
 
 
@@ -37,7 +38,7 @@ def first(tmp_path: Path) -> Path:
 
 def test_a_checkpoint_records_its_start_and_all_seeds(first: Path, tmp_path: Path) -> None:
     recipe = replace(Recipe(), steps=0, seed=13)
-    train(preset("tiny"), recipe, tmp_path / "run", initial=first)
+    train(TrainingRun(preset("tiny"), recipe, tmp_path / "run", initial=first))
     found = read_metadata(tmp_path / "run" / WEIGHTS)
     assert (found[BEGUN], found[SEEDS]) == (file_sha256(first), "1,13")
     assert read_metadata(first)[BEGUN] == "random weights of seed 1"

@@ -159,8 +159,9 @@ def test_a_run_may_have_another_number_of_scenes_in_every_step(tmp_path: Path, m
     ran = Mock()
     monkeypatch.setattr(command, "run_workers", ran)
     assert command.main([str(tmp_path), "--scenes", "12", "--processes", "3", "--quiet"]) == 0
-    processes, _, _, _, recipe, *_ = ran.call_args.args
+    processes, _, _, run, _ = ran.call_args.args
     assert processes == 3
+    recipe = run.recipe
     assert [phase.scenes for phase in recipe.phases] == [12] * len(Recipe().phases)
     assert replace(recipe, phases=Recipe().phases) == Recipe()
 
@@ -173,7 +174,7 @@ def test_scenes_are_drawn_ahead_by_as_many_processes_as_are_asked_for(
     monkeypatch.setattr(command, "train", ran)
     monkeypatch.setattr(command, "run_workers", lambda count, threads, work, *rest: work(Worker(), *rest))
     assert command.main([str(tmp_path), "--quiet", *given]) == 0
-    assert ran.call_args.kwargs["loaders"] == found
+    assert ran.call_args.args[0].loaders == found
 
 
 def test_a_place_without_a_name_is_wrong_usage(

@@ -20,6 +20,7 @@ from gapmes.model.training.log_rows import read_rows
 from gapmes.model.training.recipe import FINISH, RECIPES, Phase, Recipe
 from gapmes.model.training.scenes import SceneSampler
 from gapmes.model.training.step import to_tensors
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.training.validation import validate, validation_batches
 from gapmes.model.training.workers import Worker
 from gapmes.model.weights_file import CheckpointError
@@ -51,12 +52,14 @@ def run_alone(folder: Path) -> None:
 
 def run(recipe: Recipe, folder: Path, validate_every: int = 2, save_seconds: float = 0.0) -> None:
     loop.train(
-        preset("tiny"),
-        recipe,
-        folder,
-        validate_every=validate_every,
-        validation_scenes=1,
-        save_seconds=save_seconds,
+        TrainingRun(
+            preset("tiny"),
+            recipe,
+            folder,
+            validate_every=validate_every,
+            validation_scenes=1,
+            save_seconds=save_seconds,
+        )
     )
 
 
@@ -123,7 +126,7 @@ def test_a_gradient_that_is_not_finite_moves_nothing_and_is_counted(
 
     monkeypatch.setattr(loop, "training_loss", broken)
     recipe = replace(SMALL, steps=3, phases=(Phase(1.0, (32,), 1, (2,), (0.1, 0.4)),))
-    loop.train(preset("tiny"), recipe, tmp_path, validate_every=3, validation_scenes=1)
+    loop.train(TrainingRun(preset("tiny"), recipe, tmp_path, validate_every=3, validation_scenes=1))
     first, second, third = moved
     assert not all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
     assert all(torch.equal(a, b) for a, b in zip(second, third, strict=True))
@@ -179,7 +182,9 @@ def test_fifty_steps_on_generated_scenes_teach_it(tmp_path: Path) -> None:
     torch.manual_seed(1)
     before = validate(GaPMeS(preset("tiny")), held_out)
     recipe = replace(Recipe(), steps=50, seed=1, warm_up=10, phases=(Phase(1.0, (48,), 2, (2,), (0.1, 0.5)),))
-    trained = loop.train(preset("tiny"), recipe, tmp_path, validate_every=50, validation_scenes=1, save_seconds=1e9)
+    trained = loop.train(
+        TrainingRun(preset("tiny"), recipe, tmp_path, validate_every=50, validation_scenes=1, save_seconds=1e9)
+    )
     after = validate(trained, held_out)
     # what needs no training already gives 23.9 dB; measured with seeds 1, 2, 3: +0.42, +0.41, +0.47 dB and
     # +0.018, +0.018, +0.017 SSIM
@@ -251,23 +256,27 @@ def test_a_run_starts_from_given_weights(tmp_path: Path) -> None:
     given = GaPMeS(preset("tiny"))
     save_checkpoint(tmp_path / "given.safetensors", given)
     none = replace(SMALL, steps=0)
-    found = loop.train(preset("tiny"), none, tmp_path / "run", initial=tmp_path / "given.safetensors")
+    found = loop.train(TrainingRun(preset("tiny"), none, tmp_path / "run", initial=tmp_path / "given.safetensors"))
     assert all(torch.equal(a, b) for a, b in zip(found.parameters(), given.parameters(), strict=True))
     one = replace(SMALL, steps=1)
     options = {"validate_every": 9, "validation_scenes": 1, "save_seconds": 0.0}
-    moved = loop.train(preset("tiny"), one, tmp_path / "on", initial=tmp_path / "given.safetensors", **options)
+    moved = loop.train(
+        TrainingRun(preset("tiny"), one, tmp_path / "on", initial=tmp_path / "given.safetensors", **options)
+    )
     far = [float((a - b).detach().abs().max()) for a, b in zip(moved.parameters(), given.parameters(), strict=True)]
     assert 0 < max(far) <= 1.01 * one.learning_rate_at(0)  # what AdamW moves a weight by in its first step
-    again = loop.train(preset("tiny"), one, tmp_path / "on", initial=tmp_path / "given.safetensors", **options)
+    again = loop.train(
+        TrainingRun(preset("tiny"), one, tmp_path / "on", initial=tmp_path / "given.safetensors", **options)
+    )
     assert all(torch.equal(a, b) for a, b in zip(moved.parameters(), again.parameters(), strict=True))
     with pytest.raises(ValueError, match="another initial"):
-        loop.train(preset("tiny"), one, tmp_path / "on", **options)
+        loop.train(TrainingRun(preset("tiny"), one, tmp_path / "on", **options))
 
 
 def test_weights_of_another_configuration_are_refused(tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "other.safetensors", GaPMeS(preset("tiny", without_tasks=True)))
     with pytest.raises(CheckpointError, match=r"configuration than this run: without_tasks is True, asked for False"):
-        loop.train(preset("tiny"), SMALL, tmp_path / "run", initial=tmp_path / "other.safetensors")
+        loop.train(TrainingRun(preset("tiny"), SMALL, tmp_path / "run", initial=tmp_path / "other.safetensors"))
 
 
 @pytest.mark.parametrize("fast", [True, False])
@@ -276,8 +285,8 @@ def test_it_computes_in_bfloat16_if_that_is_fast(fast: bool, tmp_path: Path, mon
     monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: fast)
     monkeypatch.setattr(loop, "use_bfloat16", done.append)
     one = replace(SMALL, steps=1)
-    loop.train(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1)
+    loop.train(TrainingRun(preset("tiny"), one, tmp_path, validate_every=9, validation_scenes=1))
     assert len(done) == fast
     monkeypatch.setattr(loop, "bfloat16_is_fast", lambda device: not fast)
     with pytest.raises(ValueError, match="another precision"):
-        loop.train(preset("tiny"), one, tmp_path)
+        loop.train(TrainingRun(preset("tiny"), one, tmp_path))

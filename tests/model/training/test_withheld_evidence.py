@@ -14,6 +14,7 @@ from gapmes.model.config import preset
 from gapmes.model.network import GaPMeS
 from gapmes.model.training import loop
 from gapmes.model.training.recipe import FINISH, Phase, Recipe
+from gapmes.model.training.training_run import TrainingRun
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def test_it_is_kept_back_less_and_less_and_never_at_the_end() -> None:
 def test_a_run_draws_its_steps(until: float, sweeps: int, swept: list[tuple[int, ...]], tmp_path: Path) -> None:
     phase = Phase(1.0, (32,), 1, (2,), (0.1, 0.4))
     recipe = replace(Recipe(), steps=3, phases=(phase,), withheld_until=until, zoom_share=0.0)
-    loop.train(preset("tiny"), recipe, tmp_path / "run", validate_every=100, validation_scenes=1)
+    loop.train(TrainingRun(preset("tiny"), recipe, tmp_path / "run", validate_every=100, validation_scenes=1))
     assert swept.count((2, 3, 16, 16)) == sweeps  # validation, at another size, always has it
 
 

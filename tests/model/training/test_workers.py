@@ -23,6 +23,7 @@ from gapmes.model.checkpoint import load_checkpoint
 from gapmes.model.config import preset
 from gapmes.model.training import loop, run_folder, workers
 from gapmes.model.training.recipe import Phase, Recipe
+from gapmes.model.training.training_run import TrainingRun
 from gapmes.model.training.workers import Worker, run_workers
 
 SHARED = replace(
@@ -39,7 +40,9 @@ CONFIG = preset("tiny", without_experts=True, without_tasks=True)  # no Gumbel n
 
 
 def _train(worker: Worker, folder: Path) -> None:
-    loop.train(CONFIG, SHARED, folder, validate_every=2, validation_scenes=1, save_seconds=1e9, worker=worker)
+    loop.train(
+        TrainingRun(CONFIG, SHARED, folder, validate_every=2, validation_scenes=1, save_seconds=1e9), worker=worker
+    )
 
 
 def _average(worker: Worker, folder: Path) -> None:
@@ -83,14 +86,16 @@ WHOLE = replace(
 
 def _train_all_of_it(worker: Worker, folder: Path, loaders: int) -> None:
     loop.train(
-        preset("tiny"),
-        WHOLE,
-        folder,
-        validate_every=4,
-        validation_scenes=1,
-        save_seconds=0.0,
+        TrainingRun(
+            preset("tiny"),
+            WHOLE,
+            folder,
+            validate_every=4,
+            validation_scenes=1,
+            save_seconds=0.0,
+            loaders=loaders,
+        ),
         worker=worker,
-        loaders=loaders,
     )
 
 
@@ -225,4 +230,4 @@ def test_a_failure_ends_all(tmp_path: Path) -> None:
 
 def test_scenes_that_cannot_be_shared_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"processes: 3 cannot share the 2 scenes of a step at 32 px"):
-        loop.train(CONFIG, SHARED, tmp_path, worker=Worker(0, 3))
+        loop.train(TrainingRun(CONFIG, SHARED, tmp_path), worker=Worker(0, 3))
