@@ -10,6 +10,7 @@ import numpy as np
 from ..cameras.view_checks import Notice
 from .epipolar import TURN, UNSEEN_PX, ZOOM, best_change, epipolar_distances
 from .pair_matches import PairMatches
+from .pose_changes import PoseChanges
 
 # Median residual in px from which poses are doubted if a turn of one camera, with or without another focal length,
 # leaves less than half of it, and from which they are doubted anyway. Right pairs have up to 0.44 px (109 of six
@@ -78,6 +79,8 @@ def inexact_poses(
             " and ".join(str(numbers[view]) for view in residual.pair) for residual in found if residual is not worst
         ]
         message += f"; the same of views {', '.join(others)}"
+    if (culprit := PoseChanges.of(pairs).culprit(worst.pair[0])) is not None:
+        message += f"; a change of the camera of view {numbers[culprit]} alone explains nearly all of it"
     cure = (
         "are poses and intrinsics exact, and those of these very photographs, which show one scene and are sharp? "
         "refine them, for example with COLMAP"

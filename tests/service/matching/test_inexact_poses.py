@@ -121,6 +121,20 @@ def test_of_three_views_the_worst_pair_is_named_first() -> None:
     assert "; the same of views " in notice["message"]
 
 
+@pytest.mark.parametrize("wrong", range(3))
+def test_of_three_views_the_one_that_is_wrong_is_named(wrong: int) -> None:
+    (notice,) = told(turned(sample((1, 3, 5)), wrong, (1, 0, 0), 0.6), (4, 7, 9))
+    assert f"; a change of the camera of view {(4, 7, 9)[wrong]} alone explains nearly all of it (" in notice["message"]
+
+
+def test_where_several_are_wrong_or_either_of_two_none_is_named() -> None:
+    """Of three views the outer ones are turned, about different axes."""
+    outer = turned(turned(sample((1, 3, 5)), 0, (1, 0, 0), 0.6), 2, (0, 0, 1), 0.8)
+    for pairs in (outer, turned(sample(), 1, (1, 0, 0), 0.6)):
+        (notice,) = told(pairs, (4, 7, 9))
+        assert "alone explains" not in notice["message"]
+
+
 def test_halves_of_a_row_that_stand_askew_are_told() -> None:
     """As after a tracker's slip: in a row of four, the last two are right among themselves, and nearest to each other,
     as are the first two."""
