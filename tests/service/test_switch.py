@@ -12,8 +12,8 @@ from gapmes.service.errors import InputError
 from gapmes.service.settings import Settings, checked_settings
 
 TABLE = Path(__file__).parents[2] / "docs" / "settings.md"
-ON, OFF = ("1", "true", "True", "YES", "y", "t", "on"), ("0", "false", "False", "no", "n", "f", "OFF", "")
-NEITHER = ("2", "maybe", " 1", "10")
+ON, OFF = ("1", "true", "True", "YES", "on"), ("0", "false", "False", "no", "OFF", "")
+NEITHER = ("2", "maybe", " 1", "10", "y", "n", "t", "f")
 NEED = "1, true, yes or on, or 0, false, no or off"
 SWITCHES = [name for name, field in Settings.model_fields.items() if field.annotation is bool]
 
