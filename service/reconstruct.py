@@ -118,7 +118,7 @@ class Reconstructor:
         `near`, `far`: z-depths in the cameras' units; by default estimated from the cameras and narrowed to where the
         photographs match. A given range is only narrowed where it is far too wide.
         `trust_poses`: only warn where the photographs contradict the poses, or views do not overlap.
-        `refine_poses`: where poses or focal lengths are slightly wrong, cameras are corrected to match the others
+        `refine_poses`: where poses or focal lengths are slightly wrong, all cameras but one are corrected to match
         (`refined_poses.py`), a warning tells by how much, and `view_cameras` has them.
         `budget`: what may be left out of the scene, and for which views the error is bounded; None is `Budget()`.
         `leave_one_out`: of three photographs or more, each is compared with its render from a reconstruction of this

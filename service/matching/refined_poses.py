@@ -24,18 +24,18 @@ ROUNDS = 3  # of matching and least squares
 def refined_cameras(
     pairs: PairMatches, before: Sequence[EpipolarResidual], numbers: Sequence[int]
 ) -> tuple[list[Camera], Notice] | None:
-    """The cameras of the views, at most all but one turned, moved and with other focal lengths, and what is told of it;
-    None without residuals `before` that are `doubted`, or where more than LEFT of the largest remains. Of views that no
+    """The cameras of the views, all but one turned, moved and with other focal lengths, and what is told of it; None
+    without residuals `before` that are `doubted`, or where more than LEFT of the largest remains. Of views that no
     match joins to the others, one stays as well. `numbers` are what the caller calls the views.
     """
     if not before:
         return None
     given = [view.camera for view in pairs.views]
-    refined, held = pairs, None
-    for _ in range(ROUNDS):
-        found, unit = PoseChanges.of(refined), longest_baseline(refined.views)
-        held = found.held() if held is None else held
-        changes = found.changes(held)
+    refined, found = pairs, PoseChanges.of(pairs)
+    stiffness = found.stiffness()
+    for done in range(ROUNDS):
+        found, unit = PoseChanges.of(refined) if done else found, longest_baseline(refined.views)
+        changes = found.changes(stiffness)
         views = [
             replace(view, camera=_changed(view.camera, change, unit))
             for view, change in zip(refined.views, changes, strict=True)
@@ -50,7 +50,7 @@ def refined_cameras(
     lost = any(residual.pair not in after for residual in before)  # it matches no more
     if far or lost or left > LEFT * worst:
         return None
-    held = held or []
+    held = np.flatnonzero(np.isinf(stiffness)).tolist()
     told = [
         f"view {number} was turned by {np.degrees(turn):.2g} degrees and moved by {100 * shift:.2g} % of the longest "
         f"baseline, its focal length is {np.exp(zoom):.4f} times the given one"

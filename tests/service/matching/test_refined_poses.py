@@ -30,6 +30,7 @@ from gapmes.service.shipped import sample_folder
 
 # Measured up to 0.08, 0.006 of a focal length (a shift ahead looks much alike), 0.006 of the baseline.
 DEGREES, FOCAL, SHIFT = 0.1, 0.01, 0.01
+SLIGHTLY = 0.05  # degrees, of right cameras beside wrong ones: measured up to 0.02
 UP = (1.0, 0.0, 0.0)  # cameras stand beside each other: this moves the picture across the lines
 
 
@@ -111,28 +112,26 @@ def test_a_turn_of_the_first_becomes_one_of_the_second() -> None:
 
 
 @pytest.mark.parametrize("wrong", range(3))
-def test_of_three_views_only_the_one_that_is_wrong_is_turned(wrong: int) -> None:
-    """The two others agree, whichever it is."""
+def test_of_three_views_the_one_that_is_wrong_is_turned(wrong: int) -> None:
+    """Whichever it is: the two others agree. One is held, and the other is hardly changed."""
     exact = sample((1, 3, 5))
     found = corrected(turned(exact, wrong, UP, 0.7), (4, 7, 9))
     assert found is not None
     cameras, notice = found
     assert degrees(cameras[wrong], exact.views[wrong].camera) < DEGREES
-    stay = [place for place in range(3) if place != wrong]
-    for place in stay:
-        assert_as_given(cameras[place], exact.views[place].camera)
-    one, other = ((4, 7, 9)[place] for place in stay)
+    held, other = (place for place in range(3) if place != wrong)
+    assert_as_given(cameras[held], exact.views[held].camera)
+    assert degrees(cameras[other], exact.views[other].camera) < SLIGHTLY
     assert f"view {(4, 7, 9)[wrong]} was turned by 0." in notice["message"]
-    assert notice["message"].endswith(f"the cameras of views {one}, {other} are as given")
+    assert notice["message"].endswith(f"the camera of view {(4, 7, 9)[held]} is as given")
 
 
-def test_of_four_views_only_the_two_that_are_wrong_are_turned() -> None:
+def test_of_four_views_the_two_that_are_wrong_are_turned() -> None:
     exact = sample((1, 2, 3, 5))
     cameras = refined(turned(turned(exact, 0, UP, 0.7), 2, (0.0, 0.0, 1.0), 0.9))
-    for place in (1, 3):
-        assert_as_given(cameras[place], exact.views[place].camera)
-    for place in (0, 2):
-        assert degrees(cameras[place], exact.views[place].camera) < DEGREES
+    assert_as_given(cameras[1], exact.views[1].camera)
+    for place in (0, 2, 3):
+        assert degrees(cameras[place], exact.views[place].camera) < (SLIGHTLY if place == 3 else DEGREES)
 
 
 def test_of_three_views_that_are_all_a_little_wrong_the_first_stays() -> None:
