@@ -17,8 +17,8 @@ from .suggested import suggestions
 
 PHOTOGRAPH_SIZES = (Size.square(256), Size.square(128))
 PHOTOGRAPH_INPUTS, GENERATED_INPUTS = (2, 3), (2,)
-SCENE_SECONDS = 12.0  # of a processor: one scene of 256 px from two views; half of it is for the baselines
-EXPORT_SECONDS = 100.0  # the same, with the verification
+SCENE_SECONDS = 22.0  # of a processor: one scene of 256 px from two views; half of it is for the baselines
+START_SECONDS, EXPORT_SECONDS = 12.0, 130.0  # the same; of an export with its verification
 GENERATED_SIZE, MOST_GENERATED = Size.square(128), 100
 GENERATED = {Size.square(256): 24, GENERATED_SIZE: MOST_GENERATED}  # scenes; one of 256 px takes four times as long
 
@@ -73,9 +73,11 @@ def outlook(plans: Sequence[GroupPlan], files: Sequence[Path], engines: int) -> 
     scenes, seconds = [], 0.0
     for plan in plans:
         scenes.append(f"{counted(plan.count, 'scene')} of {plan.size} px from {plan.inputs} views ({plan.kind})")
-        seconds += plan.count * SCENE_SECONDS * plan.size.height * plan.size.width / 256**2 * plan.inputs / 2
+        pixels = plan.inputs * plan.size.height * plan.size.width
+        seconds += plan.count * SCENE_SECONDS * pixels * plan.inputs / (2 * 256**2 * 2)  # each view meets each
     first = exports(files, list(dict.fromkeys(plan.size for plan in plans)))
-    minutes = (seconds * (1 + engines * max(1, len(files))) / 2 + len(first) * EXPORT_SECONDS) / 60
+    seconds *= (1 + engines * max(1, len(files))) / 2
+    minutes = (START_SECONDS + seconds + len(first) * EXPORT_SECONDS) / 60
     made = "".join(f"; exports and verifies {name} for {size} px first" for name, size in first)
     return f"measures {', '.join(scenes)}{made}: about {max(1, round(minutes))} min of processor time"
 

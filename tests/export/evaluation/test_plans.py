@@ -40,11 +40,13 @@ def test_what_is_about_to_be_done_is_told() -> None:
     kinds = ("photographs", "photographs", "generated", "generated")
     groups = ", ".join(f"{some} px from 2 views ({kind})" for some, kind in zip(scenes, kinds, strict=True))
     export = "exports and verifies tiny.safetensors for 128 px first"
-    assert told == f"measures {groups}; {export}: about 8 min of processor time"
+    assert told == f"measures {groups}; {export}: about 14 min of processor time"
     plain = evaluation_plans([], 5, [], [Size.square(256)], [])
-    assert outlook(plain, [], 1).endswith("5 scenes of 256 px from 2 views (generated): about 1 min of processor time")
+    assert outlook(plain, [], 1).endswith("5 scenes of 256 px from 2 views (generated): about 2 min of processor time")
+    four = evaluation_plans([], 5, [4], [Size.square(256)], [])
+    assert outlook(four, [], 1).endswith("from 4 views (generated): about 8 min of processor time")
     twice = outlook(plain, [Path("a.onnx"), Path("b.safetensors")], 2)
-    assert twice.endswith("; exports and verifies b.safetensors for 256 px first: about 4 min of processor time")
+    assert twice.endswith("; exports and verifies b.safetensors for 256 px first: about 7 min of processor time")
 
 
 def test_generated_scenes_are_those_of_their_seed_and_not_of_the_validation() -> None:
