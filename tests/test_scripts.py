@@ -113,7 +113,8 @@ def test_a_job_that_is_killed_must_have_been_running_and_be_tried_again(
 @pytest.mark.parametrize("there", [True, False])
 def test_a_run_without_the_viewer_says_so(tmp_path: Path, there: bool) -> None:
     """.ci/run with a `make` that passes and an image check that says when it was reached."""
-    scripts = {"bin/make": "echo tests pass", "bin/chromium": "exit 1", "docker/check": "echo the image holds"}
+    browser = "bin/chromium-headless-shell"
+    scripts = {"bin/make": "echo tests pass", browser: "exit 1", "docker/check": "echo the image holds"}
     for name, text in scripts.items():
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
