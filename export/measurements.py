@@ -31,9 +31,9 @@ def write_tables(
     from .tradeoff.child import ChildFailed
 
     try:
-        for folder in (stability, report):  # both before any work
+        for folder, field in ((stability, "stability"), (report, "report")):  # both before any work
             if folder is not None:
-                check_output_folder(folder)
+                check_output_folder(folder, field=field)
         document, failed = _measured(report, stability, scenes, quick, quiet)
     except (ChildFailed, InputError, OutOfMemory, OSError) as error:
         Console(stderr=True, soft_wrap=True).print(f"refused: {error}", markup=False)

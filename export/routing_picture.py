@@ -243,7 +243,7 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             if options.out.suffix.lower() not in ENDINGS:  # said before the work, not after it
                 raise InputError(f"{options.out.name!r} has another ending than {', '.join(ENDINGS)}", field="out")
-            check_output_file(options.out)
+            check_output_file(options.out, field="out")
             draw_routing(route(options.scene, options.views, options.model, bars)).savefig(options.out)
         except (GapmesError, ValueError, OSError) as error:
             bars.say(f"refused: {error}")

@@ -95,7 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
         tolerance, network = _what_it_must_be(file, options.checkpoint)
         model = onnx.load(options.model)
         _check_opset(model, file)
-        check_output_file(options.report)
+        check_output_file(options.report, field="report")
     except (ModelError, InputError, ValueError, OSError) as error:
         return _refused(error)
     cases = list(verification_cases(file.info.height, file.info.width, quick=options.quick))

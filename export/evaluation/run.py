@@ -68,7 +68,7 @@ def evaluate(
     A capture without inputs and targets for a plan is left out, with the reason in the report. Raises `GapmesError`.
     """
     sizes = sorted({plan.size for plan in plans}, key=Size.order, reverse=True)
-    check_output_folder(out)  # before the work, as everything here
+    check_output_folder(out, field="out")  # before the work, as everything here
     check_sizes(files, sizes)  # here and not one by one: an export takes minutes
     plans = [_looked_at(plan) for plan in plans]
     weights = None if lpips is None else Lpips.load(lpips)

@@ -25,7 +25,7 @@ def stability_table(out: Path, listener: Listener = silent) -> list[Row]:
     out.mkdir(parents=True, exist_ok=True)
     table, text = out / "stability.json", out / "stability.md"
     for path in (table, text):
-        check_output_file(path)
+        check_output_file(path, field="stability")
     found: list[Row] = []
     with Stages(listener).stage("stability", CASES) as done:
         for row in all_rows():

@@ -62,7 +62,7 @@ def report(
     scenes = [load_scene(*scene) for scene in (named[:1] if quick else named)]
     out.mkdir(parents=True, exist_ok=True)
     for name in WRITTEN:
-        check_output_file(out / name)
+        check_output_file(out / name, field="report")
     weights = None if lpips is None else Lpips.load(lpips)
     with stages.stage("export files"):
         models = files.quick_files(out) if quick else files.all_files(out)

@@ -184,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quiet", "-q", action="store_true", help=QUIET_HELP)
     options = parser.parse_args(arguments)
     try:
-        check_output_file(options.out)
+        check_output_file(options.out, field="out")
         with ProgressBars(quiet=options.quiet) as bars:
             stages = Stages(bars)
             samples, scenes = _collected(options, stages)

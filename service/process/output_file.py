@@ -9,61 +9,63 @@ from tempfile import TemporaryFile
 from ..errors import InputError
 from .places import is_mounted, is_stdout, open_file, resolved, takes_bytes
 
+OUTPUT = "output"  # what most commands call it
 _DENIED = "no permission"
 _CURE = "choose another folder, or ask who owns it for permission"
 
 
-def check_output_file(path: Path, *, as_json: bool = False) -> None:
+def check_output_file(path: Path, *, as_json: bool = False, field: str = OUTPUT) -> None:
     """Raises `InputError` if no file can be written at `path`: it is a folder, its folder is missing or not writable,
-    or with `as_json` it is stdout, which the result is written to."""
+    or with `as_json` it is stdout, which the result is written to. `field` is what the command calls it."""
     if path.is_dir():
-        raise InputError(f"{path} is a folder, need a file", field="output", cure="name a file in it")
+        raise InputError(f"{path} is a folder, need a file", field=field, cure="name a file in it")
     if not path.parent.is_dir():
-        raise InputError(f"{path.parent} is not a folder", field="output", cure="make it first")
+        raise InputError(f"{path.parent} is not a folder", field=field, cure="make it first")
     if as_json and is_stdout(path):
-        raise InputError(f"{path} is where --json writes to", field="output", cure="leave --json out, or name a file")
+        raise InputError(f"{path} is where --json writes to", field=field, cure="leave --json out, or name a file")
     if open_file(path) is not None:  # an open stream is written to as it is
         return
     if takes_bytes(path):
         obstacle = None if os.access(path, os.W_OK) else _DENIED
     else:  # the target of a link is replaced, in its own folder
-        obstacle = _obstacle(_replaced(path).parent)
+        obstacle = _obstacle(_replaced(path, field).parent)
     if obstacle:
-        raise InputError(f"{path} cannot be written: {obstacle}", field="output", cure=_CURE)
+        raise InputError(f"{path} cannot be written: {obstacle}", field=field, cure=_CURE)
 
 
-def _replaced(path: Path) -> Path:
+def _replaced(path: Path, field: str) -> Path:
     """The file to be replaced, with links resolved. Raises `InputError` for a broken link or a mount point."""
     try:
         file = resolved(path)
     except OSError as error:
-        raise InputError(f"{path} is a link that leads to itself", field="output", cure="remove it") from error
+        raise InputError(f"{path} is a link that leads to itself", field=field, cure="remove it") from error
     if not file.parent.is_dir():
         raise InputError(
             f"{path} is a link to {file}, whose folder does not exist",
-            field="output",
+            field=field,
             cure="make it, or remove the link",
         )
     if is_mounted(file):
         raise InputError(
-            f"{path} is a mount of its own, and no new file can take its place", field="output", cure="mount its folder"
+            f"{path} is a mount of its own, and no new file can take its place", field=field, cure="mount its folder"
         )
     return file
 
 
-def check_output_folder(path: Path) -> None:
-    """Raises `InputError` if `path` is not a writable folder and cannot be created as one."""
+def check_output_folder(path: Path, *, field: str = OUTPUT) -> None:
+    """Raises `InputError` if `path` is not a writable folder and cannot be created as one; `field` is what the command
+    calls it."""
     there = next(folder for folder in (path, *path.absolute().parents) if folder.exists() or folder.is_symlink())
     if not there.exists():
         raise InputError(
             f"{there} is a link to {there.readlink()}, which is no folder",
-            field="output",
+            field=field,
             cure="make it, or remove the link",
         )
     if not there.is_dir():
-        raise InputError(f"{there} is not a folder", field="output", cure="name a folder")
+        raise InputError(f"{there} is not a folder", field=field, cure="name a folder")
     if obstacle := _obstacle(there):
-        raise InputError(f"{there} cannot be written into: {obstacle}", field="output", cure=_CURE)
+        raise InputError(f"{there} cannot be written into: {obstacle}", field=field, cure=_CURE)
 
 
 def _obstacle(folder: Path) -> str | None:

@@ -30,7 +30,7 @@ def test_a_folder_that_cannot_be_is_refused_before_any_work(
     given = [item for pair in zip(options, places, strict=True) for item in pair]
     result = CliRunner().invoke(app, given)
     assert result.exit_code == 1
-    assert result.output == f"refused: output: {tmp_path / 'taken'} is not a folder (name a folder)\n"
+    assert result.output == f"refused: {options[0][2:]}: {tmp_path / 'taken'} is not a folder (name a folder)\n"
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
@@ -62,7 +62,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(
     (tmp_path / name).mkdir()
     result = CliRunner().invoke(app, [option, str(tmp_path), "--quiet"])
     assert result.exit_code == 1
-    assert result.output == f"refused: output: {tmp_path / name} is a folder, need a file (name a file in it)\n"
+    assert result.output == f"refused: {option[2:]}: {tmp_path / name} is a folder, need a file (name a file in it)\n"
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 

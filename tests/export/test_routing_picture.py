@@ -172,6 +172,6 @@ def test_bad_requests_are_refused(
     assert message in capsys.readouterr().err
     assert not out.exists()
     assert rp.main(["--out", str(tmp_path / "none" / "routing.png")]) == 1
-    assert "is not a folder" in capsys.readouterr().err
+    assert f"out: {tmp_path / 'none'} is not a folder" in capsys.readouterr().err
     assert rp.main(["--out", str(tmp_path / "routing.xyz")]) == 1
     assert "'routing.xyz' has another ending than .png, .svg, .pdf" in capsys.readouterr().err

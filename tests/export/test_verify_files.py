@@ -105,4 +105,4 @@ def test_where_no_report_can_be_written_nothing_is_computed(
     monkeypatch.setattr(verify_module, "verify", None)
     options = ["--checkpoint", str(shipped_checkpoint("tiny")), "--report", str(tmp_path / "none" / "report.json")]
     assert main([str(shipped_model()), *options]) == 1
-    assert capsys.readouterr().err == f"refused: output: {tmp_path / 'none'} is not a folder (make it first)\n"
+    assert capsys.readouterr().err == f"refused: report: {tmp_path / 'none'} is not a folder (make it first)\n"

@@ -119,7 +119,7 @@ def test_refusals_are_one_line(
     refused(capfd, "missing")
     (tmp_path / "file").write_text("")
     assert run("--generated", 1, "--size", 64, "--out", tmp_path / "file") == 1
-    refused(capfd, "file is not a folder")
+    refused(capfd, f"error: out: {tmp_path / 'file'} is not a folder")
     (tmp_path / "scene").mkdir()
     for text, words in (
         ("{bad", "is no JSON"),
