@@ -56,6 +56,8 @@ def main(arguments: list[str] | None = None) -> int:
         run_workers(options.processes, options.threads, _train, run, options.quiet)
     except (Refused, CheckpointError, OSError) as error:
         sys.stderr.write(f"refused: {error}\n")
+        if options.json:
+            sys.stdout.write(json.dumps({"error": {"detail": str(error)}}) + "\n")
         return 1
     except KeyboardInterrupt:
         saved = (run.folder / STATE).is_file()
@@ -95,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
         "--device", type=kinds.device, default="auto", help="cpu, cuda, or auto (default): cuda if there is one"
     )
     parser.add_argument("--validate-every", type=kinds.whole_number(1), default=250, metavar="STEPS")
-    parser.add_argument("--json", action="store_true", help="print the run's last figures to stdout as one JSON object")
+    parser.add_argument("--json", action="store_true", help="print the last figures, or a refusal, to stdout as JSON")
     parser.add_argument("-q", "--quiet", action="store_true", help=QUIET_HELP)
     for name, what in ABLATED.items():
         parser.add_argument(f"--without-{name}", action="store_true", help=f"ablation: {what}")

@@ -101,8 +101,9 @@ def test_a_folder_in_use_is_refused_in_one_line(
     processes: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with run_folder.claimed(tmp_path):
-        assert main([str(tmp_path), "--processes", processes, "--quiet"]) == 1
-    told = capsys.readouterr().err
+        assert main([str(tmp_path), "--processes", processes, "--quiet", "--json"]) == 1
+    printed, told = capsys.readouterr()
+    assert json.loads(printed) == {"error": {"detail": told.removeprefix("refused: ").removesuffix("\n")}}
     assert told.startswith(f"refused: {tmp_path}: another run is at work there")
     assert told.count("\n") == 1
 
