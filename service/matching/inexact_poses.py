@@ -79,8 +79,10 @@ def inexact_poses(
             " and ".join(str(numbers[view]) for view in residual.pair) for residual in found if residual is not worst
         ]
         message += f"; the same of views {', '.join(others)}"
-    if (culprit := PoseChanges.of(pairs).culprit(worst.pair[0])) is not None:
-        message += f"; a change of the camera of view {numbers[culprit]} alone explains nearly all of it"
+    changes = PoseChanges.of(pairs)
+    culprit = changes.culprit(worst.pair[0])
+    if culprit is not None and (left := changes.left_px(worst.pair, culprit)) < LEFT * worst.px:
+        message += f"; with view {numbers[culprit]} alone turned, moved and zoomed it would be {left:.2f} px"
     cure = (
         "are poses and intrinsics exact, and those of these very photographs, which show one scene and are sharp? "
         "refine them, for example with COLMAP"

@@ -75,6 +75,11 @@ class PoseChanges:
         found = [one for one in joined if self._left(joined, [one]) <= enough]
         return found[0] if len(found) == 1 else None
 
+    def left_px(self, pair: tuple[int, int], view: int) -> float:
+        """The median distance of a pair that the best changes of one view leave."""
+        theirs = np.all(self.slopes[:, list(pair)].any(axis=2), axis=1)
+        return float(np.median(np.abs(self._rest([view])[theirs])))
+
     def changes(self, stiffness: F64) -> F64:
         """(V, CHANGES) the changes of the cameras that explain the distances best, regularised by so many times
         UNSEEN_PX (V,)."""
@@ -118,8 +123,11 @@ class PoseChanges:
         """The mean distance of the views `joined` that the best changes of those `free` leave; by the logarithm, so
         that wrong matches count little."""
         theirs = self.slopes[:, joined].any(axis=(1, 2))
-        left = self.px[theirs] + np.einsum("nvc,vc->n", self.slopes[theirs], self._changes_of(free))
-        return float(np.log1p(np.abs(left) / LIKE_NOISE_PX).mean())
+        return float(np.log1p(np.abs(self._rest(free)[theirs]) / LIKE_NOISE_PX).mean())
+
+    def _rest(self, free: list[int]) -> F64:
+        """(N,) the distances that the best changes of the views `free` leave."""
+        return self.px + np.einsum("nvc,vc->n", self.slopes, self._changes_of(free))
 
     def _changes_of(self, free: list[int]) -> F64:
         stiffness = np.full(len(self.first), np.inf)
