@@ -1,7 +1,7 @@
 # Targets, from a bare checkout:
 #
 #   make demo            run the sample scene through the service (runtime only, no torch)
-#   make test            run ruff, mypy and all tests, about an hour on two cores (ARGS=tests/service/splat for a part)
+#   make test            run ruff, mypy and all tests, 40 minutes on two cores (ARGS=tests/service/splat for a part)
 #   make lowest          run the tests with the lowest versions that pyproject.toml allows (ARGS=tests/service for a part).
 #                        Needs Python 3.11 (PYTHON=python3.11): many of these versions are older than later releases of Python.
 #   make evaluate        measure quality on held-out views, which takes minutes (ARGS=--check, for example)
