@@ -74,15 +74,17 @@ def inexact_poses(
         f"beside where their cameras allow it, usual is {0.1 * unit:.1f} to {0.5 * unit:.1f}; "
         f"{worst.cause(one, other)}"
     )
+    changes = PoseChanges.of(pairs)
+    culprit = changes.culprit(worst.pair[0])
+    if culprit is not None and changes.left_px(worst.pair, culprit) < LEFT * worst.px:
+        message += (
+            f"; changes of the camera of view {numbers[culprit]} alone explain it as well as those of all but one do"
+        )
     if len(found) > 1:
         others = [
             " and ".join(str(numbers[view]) for view in residual.pair) for residual in found if residual is not worst
         ]
         message += f"; the same of views {', '.join(others)}"
-    changes = PoseChanges.of(pairs)
-    culprit = changes.culprit(worst.pair[0])
-    if culprit is not None and (left := changes.left_px(worst.pair, culprit)) < LEFT * worst.px:
-        message += f"; with view {numbers[culprit]} alone turned, moved and zoomed it would be {left:.2f} px"
     cure = (
         "are poses and intrinsics exact, and those of these very photographs, which show one scene and are sharp? "
         "refine them, for example with COLMAP"
