@@ -94,7 +94,7 @@ def export_checkpoint(
     _check_place(out, checkpoint)
     if out.suffix != ENDING:
         message = f"{out} ends in {out.suffix!r}, need {ENDING!r}, which tells networks from weights"
-        raise InputError(message, field="output", cure=f"name it {out.name}{ENDING}")
+        raise InputError(message, field="out", cure=f"name it {out.name}{ENDING}")
     if out.is_symlink():
         out = out.resolve()
         _check_place(out, checkpoint)
@@ -133,25 +133,25 @@ def export_checkpoint(
 def _check_place(out: Path, checkpoint: Path) -> None:
     """Raises `InputError` where `out` or a file beside it cannot be written, or would take the place of one that is not
     an export's; missing folders are no error."""
-    check_output_folder(out.parent)
+    check_output_folder(out.parent, field="out")
     if out.is_dir():
-        check_output_file(out)
+        check_output_file(out, field="out")
     if out.stem.endswith(REJECTED):
-        raise InputError(f"{out} has the name of a rejected file", field="output", cure="name another file")
+        raise InputError(f"{out} has the name of a rejected file", field="out", cure="name another file")
     if _fit_path(out).is_file() and not out.is_symlink() and not _exported(out):
         message = (
             f"{_fit_path(out)} is there, which tells of a checkpoint, and no exported file that it could belong to"
         )
-        raise InputError(message, field="output", cure="name another file, or move that one")
+        raise InputError(message, field="out", cure="name another file, or move that one")
     rejected = _rejected_path(out)
     for path in (out, _report_path(out), rejected, _report_path(rejected), _fit_path(out)):
         if out.parent.is_dir():
-            check_output_file(path)
+            check_output_file(path, field="out")
         if path.exists() and not path.is_file():
-            raise InputError(f"{path} is a pipe or device, need a file", field="output", cure="name another file")
+            raise InputError(f"{path} is a pipe or device, need a file", field="out", cure="name another file")
         if path.exists() and checkpoint.exists() and path.samefile(checkpoint):
             message = f"{path} would take the place of the checkpoint that it is made from"
-            raise InputError(message, field="output", cure="name another file")
+            raise InputError(message, field="out", cure="name another file")
 
 
 def _verified(

@@ -162,7 +162,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_work(
         export(checkpoint, tmp_path / place)
     result = CliRunner().invoke(app, ["-o", str(tmp_path / place)], env={"COLUMNS": "200"})
     assert result.exit_code == 1
-    assert result.output.startswith("refused: output: ")
+    assert result.output.startswith("refused: out: ")
     assert said in result.output
     assert names(tmp_path) == {"taken", "folder"}
 
