@@ -74,11 +74,9 @@ def inexact_poses(
         f"beside where their cameras allow it, usual is {0.1 * unit:.1f} to {0.5 * unit:.1f}; "
         f"{worst.cause(one, other)}"
     )
-    changes = PoseChanges.of(pairs)
-    culprit = changes.culprit(worst.pair[0])
-    if culprit is not None and changes.left_px(worst.pair, culprit) < LEFT * worst.px:
+    if (wrong := _wrong_camera(pairs, worst)) is not None:
         message += (
-            f"; changes of the camera of view {numbers[culprit]} alone explain it as well as those of all but one do"
+            f"; changes of the camera of view {numbers[wrong]} alone explain it as well as those of all but one do"
         )
     if len(found) > 1:
         others = [
@@ -98,6 +96,15 @@ def inexact_poses(
     else:
         cure += ", or set refine_poses"
     return [{"code": "poses_inexact", "field": "cameras", "message": f"{message} ({cure})", "px": round(worst.px, 3)}]
+
+
+def _wrong_camera(pairs: PairMatches, worst: EpipolarResidual) -> int | None:
+    """The view, of three or more, whose changes alone explain the residuals and leave less than half of the worst."""
+    if len(pairs.views) < 3:  # of two either camera may be wrong: nothing is worth measuring
+        return None
+    changes = PoseChanges.of(pairs)
+    wrong = changes.culprit(worst.pair[0])
+    return None if wrong is None or changes.left_px(worst.pair, wrong) >= LEFT * worst.px else wrong
 
 
 def doubted(pairs: PairMatches, unsharp: Set[int] = frozenset()) -> list[EpipolarResidual]:

@@ -9,12 +9,12 @@ from tempfile import TemporaryFile
 from ..errors import InputError
 from .places import is_mounted, is_stdout, open_file, resolved, takes_bytes
 
-OUTPUT = "output"  # what most commands call it
+_OUTPUT = "output"  # what most commands call it
 _DENIED = "no permission"
 _CURE = "choose another folder, or ask who owns it for permission"
 
 
-def check_output_file(path: Path, *, as_json: bool = False, field: str = OUTPUT) -> None:
+def check_output_file(path: Path, *, as_json: bool = False, field: str = _OUTPUT) -> None:
     """Raises `InputError` if no file can be written at `path`: it is a folder, its folder is missing or not writable,
     or with `as_json` it is stdout, which the result is written to. `field` is what the command calls it."""
     if path.is_dir():
@@ -52,7 +52,7 @@ def _replaced(path: Path, field: str) -> Path:
     return file
 
 
-def check_output_folder(path: Path, *, field: str = OUTPUT) -> None:
+def check_output_folder(path: Path, *, field: str = _OUTPUT) -> None:
     """Raises `InputError` if `path` is not a writable folder and cannot be created as one; `field` is what the command
     calls it."""
     there = next(folder for folder in (path, *path.absolute().parents) if folder.exists() or folder.is_symlink())
